@@ -1,0 +1,1 @@
+"""Explicit finite elements for viscoelastic soft tissue, in NumPy and SciPy."""

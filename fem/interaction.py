@@ -1,0 +1,75 @@
+"""One interaction of a scene, simulated, judged, and drawn again if it is unfit for training."""
+
+from collections import Counter
+
+import numpy as np
+
+from fem.contact import Load, Surface, draw_contacts
+from fem.energy import EnergyLedger
+from fem.errors import InputError, SolverStopped
+from fem.scene import SPLITS
+
+MAX_ATTEMPTS = 20
+
+
+def simulate(scene, mesh, contacts, surface):
+    """Frames of one interaction on `mesh`.
+
+    Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3, and the health figures
+    imbalance, min_J, kinetic_share, hourglass_share and steps. Raises SolverStopped if the run cannot go on.
+    """
+    solver, ledger, load = scene.build_solver(mesh), EnergyLedger(), Load(surface, contacts)
+    times = scene.frames.times
+    force = np.zeros((len(times), mesh.n_nodes, 3), np.float32)
+    displacement = np.zeros_like(force)
+    volume = np.full(len(times), mesh.volume() * 1e9)
+    force[0] = load(0.0).T * 1e3
+    for frame in range(1, len(times)):
+        solver.advance(times[frame] - solver.time, load, [ledger])
+        force[frame] = load(times[frame]).T * 1e3
+        displacement[frame] = solver.u.T * 1e3
+        volume[frame] = mesh.volume(solver.u.T) * 1e9
+    rows = np.array(ledger.rows)
+    return {
+        "force": force, "displacement": displacement, "volume": volume,
+        "imbalance": ledger.worst_imbalance(), "min_J": ledger.smallest_J, "kinetic_share": ledger.kinetic_share(),
+        "hourglass_share": float(rows[:, 3].max() / max(rows[:, 2].max(), 1e-300)), "steps": solver.steps,
+    }  # fmt: skip
+
+
+def unfit(scene, result):
+    """Why a simulated interaction must not enter a dataset: a short reason, or None."""
+    if not all(np.isfinite(result[name]).all() for name in ("force", "displacement", "volume")):
+        return "not finite"
+    if not result["imbalance"] <= scene.health.imbalance:
+        return "energy imbalance"
+    if not result["min_J"] >= scene.health.min_J:
+        return "crushed cell"
+    if not result["kinetic_share"] <= scene.health.kinetic_share:
+        return "kinetic energy"
+    return None
+
+
+def healthy_interaction(scene, mesh, split, number):
+    """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with `rejected` {reason: count}.
+
+    The draw depends on the scene's seed, the split, the number and the attempt, on nothing else. Raises InputError
+    after 20 unfit draws.
+    """
+    surface, rejected = Surface(mesh), Counter()
+    factor = scene.interactions.hard_force if scene.interactions.is_hard(split, number) else None
+    for attempt in range(MAX_ATTEMPTS):
+        rng = np.random.default_rng([scene.interactions.seed, SPLITS.index(split), number, attempt])
+        contacts = draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
+        try:
+            result = simulate(scene, mesh, contacts, surface)
+            reason = unfit(scene, result)
+        except SolverStopped as stop:
+            reason = stop.reason
+        if reason is None:
+            return result | {"rejected": dict(rejected)}
+        rejected[reason] += 1
+    counts = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common())
+    raise InputError(
+        f"{split} interaction {number} was unfit in all {MAX_ATTEMPTS} draws ({counts}); lower contact.force or widen contact.radius"
+    )
