@@ -101,22 +101,41 @@ class Surface:
         weight = np.broadcast_to(shape, row.shape)
         entries = (weight.ravel(), (row.ravel(), np.broadcast_to(column, row.shape).ravel()))
         self.spread = scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
-        rim = mesh.points[np.unique(faces[mesh.fixed[faces]])]
+        rim = mesh.points[np.union1d(faces[mesh.fixed[faces]], _edge_nodes(faces))]
         self.clearance = np.min(np.linalg.norm(self.points[:, None] - rim, axis=2), axis=1) if len(rim) else np.full(len(self.area), np.inf)
 
     def footprint(self, centre, radius):
         """Share of a unit force that each node takes, (N,): consistent with the pressure (1 - r^2/R^2)^2, sum exactly 1.
 
-        Raises InputError if the circle holds no point of the surface.
+        r is measured along the surface's tangent plane under the centre, so that a straight path may cut through a curved
+        surface, and never reaches the other side of a thin wall. Raises InputError if the circle holds no point of the surface.
         """
-        distance = np.linalg.norm(self.points - centre, axis=1)
-        pressure = np.square(np.clip(1 - np.square(distance / radius), 0, None)) * self.area
+        offset = self.points - centre
+        squared = np.einsum("pi,pi->p", offset, offset)
+        near = self.normal @ self.normal[squared.argmin()] > -0.5
+        mean = self.normal.T @ (near * bump(squared / (2 * radius) ** 2) * self.area)
+        normal = mean / max(np.linalg.norm(mean), 1e-300)
+        height = offset @ normal
+        distance = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+        pressure = near * (np.abs(height) < radius) * bump(np.square(distance / radius)) * self.area
         total = pressure.sum()
         if total == 0:
             raise InputError(
                 f"a footprint of radius {radius:g} m at {np.array2string(centre, precision=4)} m misses the free surface; widen contact.radius"
             )
         return self.spread @ (pressure / total)
+
+
+def bump(x):
+    """(1 - x)^2 from x = 0 to 1, then 0."""
+    return np.square(np.clip(1 - x, 0, None))
+
+
+def _edge_nodes(faces):
+    """The nodes on the edge of the surface that the quadrilaterals `faces` (M, 4) make up."""
+    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    side, count = np.unique(sides, axis=0, return_counts=True)
+    return side[count == 1]
 
 
 class Load:
@@ -147,8 +166,9 @@ def _draw_contact(surface, ranges, duration, rng, factor):
     start = inside[rng.choice(len(inside), p=surface.area[inside] / surface.area[inside].sum())]
     reach = np.linalg.norm(surface.points[inside] - surface.points[start], axis=1)
     length = rng.uniform(*ranges.travel)
-    # the end lies near the drawn distance, in a random direction, and inside the same part of the surface
-    end = inside[np.argmin(np.abs(reach - length) + rng.uniform(0, 0.1 * ranges.travel[1] + 1e-12, len(reach)))]
+    # the end lies near the drawn distance, in a random direction, inside the same part of the surface and on the same side
+    behind = surface.normal[inside] @ surface.normal[start] < 0.5
+    end = inside[np.argmin(np.abs(reach - length) + rng.uniform(0, 0.1 * ranges.travel[1] + 1e-12, len(reach)) + np.where(behind, np.inf, 0))]
     peak = rng.uniform(*ranges.force) if factor is None else rng.uniform(*factor) * ranges.force[1]
     onset = rng.uniform(*ranges.onset) if factor is None else 0.0
     hold = rng.uniform(*ranges.hold) if factor is None else ranges.ramp[1]

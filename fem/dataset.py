@@ -7,7 +7,8 @@ import json
 import os
 import platform
 from collections import Counter
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -16,12 +17,14 @@ import h5py
 import numpy as np
 
 from fem import config
+from fem.energy import COLUMNS
 from fem.errors import InputError
 from fem.mesh import HexMesh
 from fem.scene import SPLITS, Scene
 
 FORMAT = "unet-fem dataset 1"
-UNITS = {"force": "mN", "displacement": "mm", "volume": "mm3", "points": "mm", "time": "s"}
+UNITS = {"force": "mN", "displacement": "mm", "volume": "mm3", "points": "mm", "time": "s", "energy": "J"}
+FIELDS = ("force", "displacement")
 HEALTH = ("imbalance", "min_J", "kinetic_share", "hourglass_share", "steps")
 
 
@@ -31,9 +34,12 @@ def write_dataset(path, scene, mesh, results):
     A temporary file beside it takes its place only when it is complete.
     """
     path = Path(path)
+    embedding = scene.mesh.embed(mesh)
+    grid_mesh = embedding.grid_mesh if embedding else mesh
+    squared_loss = squared_size = 0.0
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     order = scene.interactions.all()
-    frames, grid = scene.frames.count, (*mesh.grid_shape, 3)
+    frames, grid = scene.frames.count, (*grid_mesh.grid_shape, 3)
     rejected = Counter()
     try:
         with h5py.File(partial, "w") as file:
@@ -43,32 +49,58 @@ def write_dataset(path, scene, mesh, results):
             file.attrs["seed"] = scene.interactions.seed
             file.attrs["versions"] = json.dumps(versions())
             make = {"chunks": (1, frames, *grid), "compression": "gzip", "compression_opts": 1, "shuffle": True}
-            fields = [file.create_dataset(k, (len(order), frames, *grid), "f4", **make) for k in ("force", "displacement")]
+            fields = {k: file.create_dataset(k, (len(order), frames, *grid), "f4", **make) for k in FIELDS}
+            own = {}  # the FEM's own fields, where the grid has them only approximately
+            if embedding:
+                make["chunks"] = 1, frames, mesh.n_nodes, 3
+                own = {k: file.create_dataset(f"mesh/{k}", (len(order), frames, mesh.n_nodes, 3), "f4", **make) for k in FIELDS}
+                file["mesh/points"], file["mesh/cells"], file["mesh/fixed"] = mesh.points * 1e3, mesh.cells, mesh.fixed
+            if mesh.loaded is not None:
+                file["mesh/loaded" if embedding else "loaded"] = mesh.loaded if embedding else mesh.to_grid(mesh.loaded[:, None])[..., 0]
+            energy = file.create_dataset("energy", (len(order), frames, len(COLUMNS) - 1), "f8")
+            energy.attrs["columns"] = json.dumps(COLUMNS[1:])
             volume = file.create_dataset("volume", (len(order), frames), "f8")
             health = {k: file.create_dataset(f"health/{k}", (len(order),), "i8" if k == "steps" else "f8") for k in HEALTH}
             for i, result in enumerate(results):
-                for field in fields:
-                    field[i] = mesh.to_grid(result[field.name.strip("/")])
-                volume[i] = result["volume"]
+                for name, values in zip(FIELDS, on_grid(mesh, embedding, *(result[name] for name in FIELDS))):
+                    fields[name][i] = values
+                for name, field in own.items():
+                    field[i] = result[name]
+                if embedding:
+                    back = embedding.to_mesh(grid_mesh.from_grid(values))  # the displacement, the last of FIELDS
+                    squared_loss += np.sum(np.square(back - result["displacement"], dtype=float))
+                    squared_size += np.sum(np.square(result["displacement"], dtype=float))
+                volume[i], energy[i] = result["volume"], result["energy"]
                 for name, column in health.items():
                     column[i] = result[name]
                 rejected.update(result["rejected"])
             file.attrs["rejected"] = json.dumps(rejected)
+            file.attrs["embedding_error"] = float(np.sqrt(squared_loss / squared_size)) if squared_size else 0.0
             file["time"] = scene.frames.times
             file["split"] = np.array([split for split, _ in order], "S10")
             file["number"] = [number for _, number in order]
             file["hard"] = [scene.interactions.is_hard(*which) for which in order]
-            file["mask"] = mesh.to_grid(np.ones((mesh.n_nodes, 1), bool))[..., 0]
-            file["fixed"] = mesh.to_grid(mesh.fixed[:, None])[..., 0]
-            file["points"] = mesh.to_grid(mesh.points * 1e3)
-            file["cells"] = mesh.grid_index[mesh.cells]
+            file["mask"] = grid_mesh.to_grid(np.ones((grid_mesh.n_nodes, 1), bool))[..., 0]
+            file["fixed"] = grid_mesh.to_grid(grid_mesh.fixed[:, None])[..., 0]
+            file["points"] = grid_mesh.to_grid(grid_mesh.points * 1e3)
+            file["cells"] = grid_mesh.grid_index[grid_mesh.cells]
             for name, unit in UNITS.items():
-                file[name].attrs["unit"] = unit
+                for where in (name, f"mesh/{name}"):
+                    if where in file:
+                        file[where].attrs["unit"] = unit
         with open(partial, "rb") as done:
             os.fsync(done.fileno())
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def on_grid(mesh, embedding, force, displacement):
+    """Force and displacement (..., N, 3) at the nodes of `mesh` on its node grid, or that of its embedding: (..., nx, ny, nz, 3)."""
+    if embedding is None:
+        return mesh.to_grid(force), mesh.to_grid(displacement)
+    to_grid = embedding.grid_mesh.to_grid
+    return to_grid(embedding.force_to_grid(force)), to_grid(embedding.displacement_to_grid(displacement))
 
 
 def versions():
@@ -81,7 +113,8 @@ class Dataset:
     """An opened dataset: its description in memory, its fields read split by split.
 
     time (frames,) s; split and number (interactions,); hard (interactions,) bool; mask (nx, ny, nz) of material nodes;
-    fixed (nx, ny, nz) of held nodes; points (nx, ny, nz, 3) mm; cells (E, 8) as indices into the node grid, C order.
+    fixed (nx, ny, nz) of held nodes; points (nx, ny, nz, 3) mm; cells (E, 8) as indices into the node grid, C order;
+    embedding_error: relative L2 error of displacement taken to the grid and back, 0 where the mesh lies on the grid.
     """
 
     path: Path
@@ -94,6 +127,7 @@ class Dataset:
     fixed: np.ndarray
     points: np.ndarray
     cells: np.ndarray
+    embedding_error: float = 0.0
 
     @property
     def grid(self):
@@ -124,6 +158,53 @@ class Dataset:
                 raise InputError(f"{self.path} holds values that are not finite in {name} ({split}); delete it and generate it again")
         return fields | {"hard": self.hard[rows], "number": self.number[rows]}
 
+    @cached_property
+    def fem_mesh(self):
+        """The HexMesh in m that the interactions were simulated on: `mesh`, or one that is embedded in the grid."""
+        with _opened(self.path) as file:
+            if "mesh" in file:
+                own = {name: values[()] for name, values in file["mesh"].items() if name not in FIELDS}
+                return HexMesh(**own | {"points": own["points"] * 1e-3})
+            loaded = self.mesh.from_grid(file["loaded"][()][..., None])[:, 0] if "loaded" in file else None
+        return replace(self.mesh, points=self.mesh.points * 1e-3, loaded=loaded)
+
+    @cached_property
+    def embedding(self):
+        """The Embedding of fem_mesh in the grid, or None if its nodes lie on the grid."""
+        return self.scene.mesh.embed(self.fem_mesh)
+
+    def on_grid(self, force, displacement):
+        """Force and displacement (..., N, 3) at the nodes of fem_mesh on the grid: (..., nx, ny, nz, 3)."""
+        return on_grid(self.fem_mesh, self.embedding, force, displacement)
+
+    def sequence(self, split, number):
+        """Interaction `number` of `split` on the mesh that it was simulated on, a Sequence. Raises InputError if there is none."""
+        rows = np.flatnonzero((self.split == split) & (self.number == number))
+        if not rows.size:
+            have = ", ".join(f"{name} 1 to {(self.split == name).sum()}" for name in SPLITS)
+            raise InputError(f"{self.path} has no {split} interaction {number}; it has {have}")
+        mesh, row = self.fem_mesh, rows[0]
+        with _opened(self.path) as file:
+            energy = {}  # files from before it was kept have none
+            if "energy" in file:
+                energy = dict(zip(json.loads(file["energy"].attrs["columns"]), file["energy"][row].T))
+            if "mesh" in file:
+                fields = {name: file[f"mesh/{name}"][row] for name in FIELDS}
+            else:
+                fields = {name: mesh.from_grid(file[name][row]) for name in FIELDS}
+        return Sequence(replace(mesh, points=mesh.points * 1e3), self.time, **fields, energy=energy)
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One interaction: mesh in mm, time (frames,) s, force (frames, N, 3) mN, displacement (frames, N, 3) mm, energy {column: (frames,) J}."""
+
+    mesh: HexMesh
+    time: np.ndarray
+    force: np.ndarray
+    displacement: np.ndarray
+    energy: dict
+
 
 def open_dataset(path):
     """The Dataset at `path`. Raises InputError if it is missing, damaged, or not one of ours."""
@@ -133,17 +214,22 @@ def open_dataset(path):
     with _opened(path) as file:
         if file.attrs.get("format") != FORMAT:
             raise InputError(f"{path} is not a '{FORMAT}' file (format: {file.attrs.get('format')}); generate it again")
-        try:
-            arrays = {name: file[name][()] for name in ("time", "number", "hard", "mask", "fixed", "points", "cells")}
-            split = file["split"][()].astype(str)
-            tree = config.tomllib.loads(file.attrs["scene"])
-        except (KeyError, OSError) as error:
-            raise InputError(f"{path} is damaged ({error}); delete it and generate it again") from None
-    return Dataset(path=path, scene=config.build(Scene, tree), split=split, **arrays)
+        arrays = {name: file[name][()] for name in ("time", "number", "hard", "mask", "fixed", "points", "cells")}
+        split = file["split"][()].astype(str)
+        tree = config.tomllib.loads(file.attrs["scene"])
+        lost = float(file.attrs.get("embedding_error", 0.0))
+    return Dataset(path=path, scene=config.build(Scene, tree), split=split, embedding_error=lost, **arrays)
 
 
+@contextmanager
 def _opened(path):
+    """The HDF5 file at `path`, open for reading; what is missing or unreadable in it is an InputError."""
     try:
-        return h5py.File(path, "r")
+        file = h5py.File(path, "r")
     except OSError as error:
         raise InputError(f"{path} cannot be read as HDF5 ({str(error).split('(')[-1].rstrip(')')}); delete it and generate it again") from None
+    with file:
+        try:
+            yield file
+        except (KeyError, OSError) as error:
+            raise InputError(f"{path} is damaged ({error}); delete it and generate it again") from None

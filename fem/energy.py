@@ -5,7 +5,7 @@ import numpy as np
 from fem.errors import SolverStopped
 
 COLUMNS = ("time", "kinetic", "strain", "hourglass", "viscous", "damping", "external", "imbalance")
-CHECK_EVERY = 8  # blocks between balances
+CHECK_EVERY = 128  # steps between balances
 LIMIT = 0.10  # imbalance at which a run stops
 
 
@@ -14,41 +14,50 @@ class EnergyLedger:
 
     viscous is the work of the viscous stresses: minus the elastic energy that relaxation has spared so far.
     imbalance is relative to the largest of external work and stored energy so far (at least 1e-6 mu V, the energy of a
-    strain of about 0.1 %, so that the first faint touch does not count). `rows` holds one balance each
-    128 steps, in the order of COLUMNS. Raises SolverStopped("energy imbalance") beyond 10 %.
+    strain of about 0.1 %, so that the first faint touch does not count). `rows` holds one balance about
+    every 128 steps, in the order of COLUMNS. Raises SolverStopped("energy imbalance") beyond 10 %.
     """
 
     def __init__(self):
         self.rows, self.scale, self.smallest_J = [], 0.0, 1.0
         self.external = self.damping = 0.0
-        self._power = self._loss = 0.0
-        self._blocks = 0
+        self._ahead = self._loss = self._dt = 0.0
+        self._next = 0
 
     def __call__(self, solver):
-        mean = 0.5 * (solver.v_old + solver.v)  # velocity at `time`, second-order
-        power = np.vdot(solver.load, mean)
-        self.external += 0.5 * solver.dt * (self._power + power)
-        self._power = power
+        # velocity at `time`, second-order; the first kick is half a step long, and v_old is then that velocity itself
+        mean = 0.5 * (solver.v_old + solver.v) if solver.steps else solver.v_old
+        # the mean of the loads at both ends of a step times its displacement: exact for a dead load
+        self.external += self._ahead + 0.5 * self._dt * np.vdot(solver.load, solver.v_old)
+        self._ahead = 0.5 * solver.dt * np.vdot(solver.load, solver.v)
         if solver.damping:
             loss = 2 * solver.damping * kinetic_energy(solver.mass, mean)
-            self.damping += 0.5 * solver.dt * (self._loss + loss)
+            self.damping += 0.5 * self._dt * (self._loss + loss)
             self._loss = loss
+        self._dt = solver.dt
         if solver.block_start:
             self.smallest_J = min(self.smallest_J, solver.force.min_J)
-            if self._blocks % CHECK_EVERY == 0:
-                self._balance(solver, mean)
-            self._blocks += 1
+        if solver.viscous_current and solver.steps >= self._next:
+            self._next = solver.steps + CHECK_EVERY
+            self._balance(solver)
 
-    def _balance(self, solver, mean):
+    def balance(self, solver):
+        """The balance of the step just observed, in the order of COLUMNS; exact where solver.viscous_current."""
+        mean = 0.5 * (solver.v_old + solver.v) if solver.steps else solver.v_old
         strain, hourglass = solver.tangent.energies(solver.u)
         kinetic, viscous = kinetic_energy(solver.mass, mean), solver.force.viscous_work
         stored = kinetic + strain + hourglass + viscous + self.damping
+        scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
+        return solver.time, kinetic, strain, hourglass, viscous, self.damping, self.external, abs(self.external - stored) / scale
+
+    def _balance(self, solver):
+        row = self.balance(solver)
+        time, kinetic, strain, *_, imbalance = row
         self.scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
-        imbalance = abs(self.external - stored) / self.scale
-        self.rows.append((solver.time, kinetic, strain, hourglass, viscous, self.damping, self.external, imbalance))
+        self.rows.append(row)
         if not imbalance <= LIMIT:
             raise SolverStopped(
-                "energy imbalance", f"energy is out of balance by {100 * imbalance:.0f} % at {solver.time:.4g} s; lower the step (solver.safety) or the load"
+                "energy imbalance", f"energy is out of balance by {100 * imbalance:.0f} % at {time:.4g} s; lower the step (solver.safety) or the load"
             )
 
     def worst_imbalance(self):

@@ -8,6 +8,7 @@ from fem.contact import Load, Surface, draw_contacts
 from fem.energy import EnergyLedger
 from fem.errors import InputError, SolverStopped
 from fem.scene import SPLITS
+from fem.solver import STANDSTILL
 
 MAX_ATTEMPTS = 20
 
@@ -15,26 +16,53 @@ MAX_ATTEMPTS = 20
 def simulate(scene, mesh, contacts, surface):
     """Frames of one interaction on `mesh`.
 
-    Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3, and the health figures
-    imbalance, min_J, kinetic_share, hourglass_share and steps. Raises SolverStopped if the run cannot go on.
+    Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3, energy (frames, 7) in
+    the order of fem.energy.COLUMNS after time, and the health figures imbalance, min_J, kinetic_share, hourglass_share
+    and steps. Raises SolverStopped if the run cannot go on.
     """
     solver, ledger, load = scene.build_solver(mesh), EnergyLedger(), Load(surface, contacts)
     times = scene.frames.times
+    balances = FrameBalances(ledger, times, scene.material)
     force = np.zeros((len(times), mesh.n_nodes, 3), np.float32)
     displacement = np.zeros_like(force)
     volume = np.full(len(times), mesh.volume() * 1e9)
     force[0] = load(0.0).T * 1e3
     for frame in range(1, len(times)):
-        solver.advance(times[frame] - solver.time, load, [ledger])
+        solver.advance(times[frame] - solver.time, load, [ledger, balances])
         force[frame] = load(times[frame]).T * 1e3
         displacement[frame] = solver.u.T * 1e3
         volume[frame] = mesh.volume(solver.u.T) * 1e9
     rows = np.array(ledger.rows)
     return {
         "force": force, "displacement": displacement, "volume": volume,
+        "energy": balances.at_frames(),
         "imbalance": ledger.worst_imbalance(), "min_J": ledger.smallest_J, "kinetic_share": ledger.kinetic_share(),
         "hourglass_share": float(rows[:, 3].max() / max(rows[:, 2].max(), 1e-300)), "steps": solver.steps,
     }  # fmt: skip
+
+
+class FrameBalances:
+    """Observer that comes after an EnergyLedger: a balance for each of the frames at `times` (s).
+
+    The viscous work is known only where the viscous stress is brought up to date, so a balance is taken at the last such
+    steps before each frame.
+    """
+
+    def __init__(self, ledger, times, material):
+        self.ledger, self.times = ledger, times
+        self.standstill = STANDSTILL * min((tau for _, tau in material.prony), default=0.0)
+        self.rows = {}
+
+    def __call__(self, solver):
+        frame = int(np.searchsorted(self.times, solver.time))
+        early = self.times[frame] - solver.time if frame < len(self.times) else np.inf
+        if not solver.steps or solver.viscous_current and early <= 1.01 * max(solver.dt, self.standstill):
+            self.rows[frame] = self.ledger.balance(solver)
+
+    def at_frames(self):
+        """(frames, 7), the columns of fem.energy.COLUMNS after time, interpolated to the frames."""
+        rows = np.array([self.rows[frame] for frame in sorted(self.rows)])
+        return np.stack([np.interp(self.times, rows[:, 0], column) for column in rows[:, 1:].T], axis=1)
 
 
 def unfit(scene, result):

@@ -136,8 +136,8 @@ class _FullCells:
             mu = self.force.material.mu
             self.history = np.zeros((len(self.force.material.prony), 6, self.q, self.n))
             self.old_stress = np.zeros((6, self.q, self.n))
-            self.M = np.zeros((6, self.q, self.n), self.force.dtype)
-            self.M[:3] = mu
+            self.M = np.zeros((3, 3, self.q, self.n), self.force.dtype)
+            self.M.reshape(9, self.q, self.n)[::4] = mu
             self.pairing = 0.0
 
     def add_force(self, u, out, coefficients, check):
@@ -224,10 +224,9 @@ class _FullCells:
 
     def _add_product(self, F, P):
         """P += F M."""
-        T = self.force.scratch("T", F.shape[1:])
-        for j, row in enumerate(((0, 5, 4), (5, 1, 3), (4, 3, 2))):
-            for k in range(3):
-                P[:, j] += np.multiply(F[:, k], self.M[row[k]], out=T)
+        T = self.force.scratch("FM", P.shape)
+        for k in range(3):
+            P += np.multiply(F[:, k, None], self.M[k], out=T)
 
     def _update_history(self, F, C, J, p, coefficients):
         """Advance every relaxed stress to S_e = mu I + p/J cof^T cof, and refresh M; count the work done meanwhile."""
@@ -243,8 +242,8 @@ class _FullCells:
             q += a * (old * self.old_stress + new * stress - q)
             relaxed = relaxed + g * (q + forward * (stress - q))
         self.old_stress = stress
-        np.negative(relaxed, out=self.M, casting="same_kind")
-        self.M[:3] += material.mu
+        for k, (i, j) in enumerate(_VOIGT):
+            self.M[i, j] = self.M[j, i] = material.mu * (i == j) - relaxed[k]
         # the viscous stress stood still since the last update, so its work is its product with the change of strain
         force.viscous_work += before - self.pairing
         self.pairing = self._pair(F)
@@ -252,9 +251,9 @@ class _FullCells:
     def _pair(self, F):
         """Integral of (M - mu I) : E over the cells, in J."""
         total = 0.0
-        for k, (i, j) in enumerate(_VOIGT):
+        for i, j in _VOIGT:
             strain = np.einsum("cqe,cqe->qe", F[:, i], F[:, j]) - (i == j)
-            part = self.M[k] - self.force.material.mu * (i == j)
+            part = self.M[i, j] - self.force.material.mu * (i == j)
             total += (0.5 if i == j else 1.0) * np.sum(strain * part * self.volume, dtype=float)
         return total
 

@@ -20,6 +20,7 @@ class HexMesh:
     fixed: (N,) bool, nodes held at zero displacement
     grid_shape: (nx, ny, nz) of the regular node grid that holds the nodes, or None
     grid_index: (N,) place of each node in that grid, C order, or None
+    loaded: (N,) bool, nodes of the surface that contact may push on; None for every free face
     congruent: every cell is the same parallelepiped, so one gradient matrix serves all
 
     Raises InputError that names an inverted or degenerate cell.
@@ -30,6 +31,7 @@ class HexMesh:
     fixed: np.ndarray
     grid_shape: tuple | None = None
     grid_index: np.ndarray | None = None
+    loaded: np.ndarray | None = None
     congruent: bool = field(init=False)
 
     def __post_init__(self):
@@ -75,9 +77,10 @@ class HexMesh:
 
     @cached_property
     def free_faces(self):
-        """(M, 4) the boundary faces with at least one node that is not fixed: where contact can act."""
+        """(M, 4) where contact can act: the boundary faces of the loaded surface with a node that is not fixed."""
         faces = self.boundary_faces
-        return faces[~self.fixed[faces].all(axis=1)]
+        free = ~self.fixed[faces].all(axis=1)
+        return faces[free if self.loaded is None else free & self.loaded[faces].all(axis=1)]
 
     def to_grid(self, values):
         """(..., N, C) nodal values on the regular node grid (..., nx, ny, nz, C), zero where there is no node."""
@@ -95,7 +98,7 @@ class HexMesh:
 
     def _need_grid(self):
         if self.grid_shape is None:
-            raise InputError("this mesh has no regular node grid; make one with fem.mesh.box, fem.mesh.tumour or a structured file")
+            raise InputError("this mesh has no regular node grid; embed it in one with fem.embedding.Embedding")
 
 
 def from_voxels(keep, edge, fixed):

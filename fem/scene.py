@@ -1,34 +1,89 @@
 """A scene: everything that one dataset depends on, read from a TOML file."""
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from fem import config, mesh
 from fem.contact import ContactRange
+from fem.embedding import Embedding
 from fem.errors import InputError
 from fem.material import Material
+from fem.meshfile import read_mesh
 from fem.solver import Solver
+from fem.structure import node_grid
 
 SPLITS = ("train", "validation", "test")
 
 
 @dataclass(frozen=True)
 class MeshChoice:
-    """kind: "tumour" or "box"; edge: of a cube, m; cells: of the box along x, y, z."""
+    """kind: "tumour", "box" or "file" ("file" if a file is given, else "tumour").
 
-    kind: Literal["tumour", "box"] = "tumour"
-    edge: float = mesh.TUMOUR_EDGE
-    cells: tuple[int, int, int] = (16, 16, 7)
+    edge: of a cube of the tumour or box, m; cells: of the box along x, y, z
+    file: mesh to read, relative to the scene file; scale: m per unit of length in it, 1 if left out
+    fixed, loaded: selections of the held nodes and of the surface to push on, see fem.selection and fem.meshfile
+    grid: (nx, ny, nz) nodes of the grid to embed the mesh in, also if it lies on one of its own
+    sha256: of the mesh file; load_scene fills it in, so that a changed mesh makes another scene
+    """
+
+    kind: Literal["tumour", "box", "file"] | None = None
+    edge: float | None = None
+    cells: tuple[int, int, int] | None = None
+    file: str | None = None
+    scale: float | None = None
+    fixed: str | None = None
+    loaded: str | None = None
+    grid: tuple[int, int, int] | None = None
+    sha256: str | None = None
+    folder: str = field(default="", init=False, compare=False, repr=False)  # of the scene file, where `file` is looked for
 
     def __post_init__(self):
-        if not 0 < self.edge < np.inf:
-            raise InputError(f"mesh.edge = {self.edge} m must be positive")
+        kind = self.kind or ("file" if self.file else "tumour")
+        foreign = ("edge", "cells") if kind == "file" else ("file", "scale", "fixed", "loaded", "grid", "sha256")
+        for name in foreign:
+            if getattr(self, name) is not None:
+                raise InputError(f"mesh.{name} = {getattr(self, name)!r} has no meaning for mesh.kind = '{kind}'; leave it out")
+        defaults = {"scale": 1.0} if kind == "file" else {"edge": mesh.TUMOUR_EDGE, "cells": (16, 16, 7)}
+        for name, value in ({"kind": kind} | defaults).items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        if kind == "file" and not self.file:
+            raise InputError("mesh.kind = 'file' needs mesh.file, such as 'liver.vtu'")
+        for name in ("scale",) if kind == "file" else ("edge",):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"mesh.{name} = {getattr(self, name)} m must be positive")
+
+    def located(self, folder):
+        """This choice with its file found in `folder` and its content known."""
+        if self.kind != "file":
+            return self
+        path = Path(folder, self.file)
+        if not path.is_file():
+            raise InputError(f"no mesh file {path}; mesh.file is relative to the scene file")
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        if self.sha256 not in (None, sha256):
+            raise InputError(f"{path} is another mesh than mesh.sha256 = '{self.sha256}' says; restore the mesh or leave mesh.sha256 out")
+        found = replace(self, sha256=sha256)
+        object.__setattr__(found, "folder", str(folder))
+        return found
 
     def build(self):
-        return mesh.tumour(self.edge) if self.kind == "tumour" else mesh.box(self.cells, self.edge)
+        """The HexMesh, with its node grid if it lies on one and none is asked for."""
+        if self.kind == "tumour":
+            return mesh.tumour(self.edge)
+        if self.kind == "box":
+            return mesh.box(self.cells, self.edge)
+        found = read_mesh(Path(self.folder, self.file), self.scale, self.fixed, self.loaded)
+        lies_on = None if self.grid else node_grid(found)
+        return replace(found, grid_shape=lies_on[0], grid_index=lies_on[1]) if lies_on else found
+
+    def embed(self, hex_mesh):
+        """The Embedding of a mesh that `build` gave, or None if it lies on a node grid itself."""
+        return Embedding(hex_mesh, self.grid) if hex_mesh.grid_shape is None else None
 
 
 @dataclass(frozen=True)
@@ -82,9 +137,11 @@ class Interactions:
         for name in SPLITS:
             if getattr(self, name) < 1:
                 raise InputError(f"interactions.{name} = {getattr(self, name)} must be at least 1")
+        if self.seed < 0:
+            raise InputError(f"interactions.seed = {self.seed} must not be negative")
         if not (1 <= self.hard[0] <= self.hard[1] <= self.test):
             raise InputError(f"interactions.hard = {list(self.hard)} must be first and last number within the {self.test} test interactions")
-        if not 1 <= self.hard_force[0] <= self.hard_force[1]:
+        if not 1 <= self.hard_force[0] <= self.hard_force[1] < np.inf:
             raise InputError(f"interactions.hard_force = {list(self.hard_force)} must be two factors from low to high, at least 1")
 
     def all(self):
@@ -117,7 +174,9 @@ class Scene:
     health: Health = field(default_factory=Health)
 
     def toml(self):
-        return config.dump_toml(config.to_dict(self))
+        tree = config.to_dict(self)
+        del tree["mesh"]["folder"]  # where the scene lies is no part of it
+        return config.dump_toml(tree)
 
     def digest(self):
         """Eight hexadecimal digits that change with every setting."""
@@ -128,5 +187,6 @@ class Scene:
 
 
 def load_scene(path):
-    """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value."""
-    return config.build(Scene, config.read_toml(path))
+    """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value, or a missing mesh file."""
+    scene = config.build(Scene, config.read_toml(path))
+    return replace(scene, mesh=scene.mesh.located(Path(path).parent))

@@ -1,5 +1,7 @@
 """Explicit central-difference time integration (leapfrog) of a hexahedral mesh under nodal loads."""
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.sparse.linalg
 
@@ -7,9 +9,11 @@ from fem import element
 from fem.errors import InputError, SolverStopped
 from fem.kernel import InternalForce
 
-BLOCK = 16  # steps between load samples, guards and updates of the viscous stress
+BLOCK = 16  # steps between load samples and guards
+STRIDE = 64  # most steps between updates of the viscous stress
 SMALLEST_J = 0.05  # below it a cell has lost its meaning, and p = K (J - 1) - mu / J runs away
 STANDSTILL = 0.004  # share of the shortest relaxation time for which the viscous stress may stand still
+RAMP_STEPS = 160  # over which `equilibrium` raises the load
 NEGLIGIBLE = 1e-30  # m and m/s: subnormal numbers would slow a step sixteen-fold
 
 
@@ -90,9 +94,9 @@ class Solver:
         self.internal = np.zeros_like(self.u)
         self._drift = np.zeros_like(self.u)
         self.time, self.steps, self.dt = 0.0, 0, 0.0
-        self.block_start = True
+        self.block_start = self.viscous_current = True
         self._shortest_relaxation = min((tau for _, tau in material.prony), default=None)
-        self._viscous_stride, self._relaxed_at = 1, 0.0
+        self._until_relaxation, self._relaxed_at = 0, 0.0
         self.estimate_step()
 
     def estimate_step(self):
@@ -135,9 +139,10 @@ class Solver:
         ramp = slope.any()
         for i in range(count):
             self.block_start = i == 0
-            if self._shortest_relaxation and i % self._viscous_stride == 0:
-                self._viscous_stride = self._stride(dt)
-                self.force.relax(self.time - self._relaxed_at, (self._viscous_stride - 1) * dt)
+            self.viscous_current = self._until_relaxation == 0
+            if self.viscous_current and self._shortest_relaxation:
+                self._until_relaxation = self._viscous_stride(dt)
+                self.force.relax(self.time - self._relaxed_at, (self._until_relaxation - 1) * dt)
                 self._relaxed_at = self.time
             self.force(self.u, out=self.internal, check=i == 0)
             self._kick(dt)
@@ -146,12 +151,13 @@ class Solver:
             self.u += np.multiply(self.v, dt, out=self._drift)
             self.time += dt
             self.steps += 1
+            self._until_relaxation = max(0, self._until_relaxation - 1)
             if ramp:
                 self.load += slope
 
-    def _stride(self, dt):
+    def _viscous_stride(self, dt):
         """Steps for which the viscous stress may stand still: a small part of the shortest relaxation time."""
-        return min(BLOCK, max(1, int(STANDSTILL * self._shortest_relaxation / dt)))
+        return min(STRIDE, max(1, int(STANDSTILL * self._shortest_relaxation / dt)))
 
     def _kick(self, dt):
         """v at the next half step; the first kick is half a step long, and a change of step takes the mean of both."""
@@ -187,3 +193,50 @@ class Solver:
         if force.min_J < 0.9 * J or force.stiffening > 1.05 * stiffening or force.min_J > 1.25 * J:
             self.estimate_step()
 
+
+
+class Equilibrium(NamedTuple):
+    """displacement (N, 3) m; residual: |internal - external| / |external| over the free nodes; steps taken."""
+
+    displacement: np.ndarray
+    residual: float
+    steps: int
+
+
+def equilibrium(mesh, material, load, residual=1e-6, element="full", max_steps=50_000):
+    """The state of rest under dead nodal loads (N, 3) in N, by dynamic relaxation: an Equilibrium.
+
+    With Prony terms it is the fully relaxed state, in which the stress is g0 times the elastic one; give the material
+    without them for the instantaneous answer. The load climbs over the first steps, and the damping follows the
+    lowest frequency that the motion shows (Underwood 1983), so that this mode is damped critically.
+
+    Raises InputError for a load of the wrong shape or not finite, SolverStopped("not at rest") when `residual` is
+    not reached in `max_steps`, and whatever Solver.advance raises.
+    """
+    load = np.array(load, float)
+    if load.shape != mesh.points.shape or not np.isfinite(load).all():
+        raise InputError(f"the load must be finite and of shape {mesh.points.shape}, one force a node; got shape {load.shape}")
+    load = np.where(mesh.fixed[:, None], 0.0, load).T
+    size = np.linalg.norm(load)
+    if not size:
+        return Equilibrium(np.zeros(mesh.points.shape), 0.0, 0)
+    share = 1 - sum(g for g, _ in material.prony)
+    solver = Solver(mesh, type(material)(material.mu * share, material.nu, material.density), element)
+    solver.damping = 0.1 / solver.max_step
+    free = ~mesh.fixed
+    old_u, old_internal = solver.u.copy(), solver.internal.copy()
+    while solver.steps < max_steps:
+        factor = min(1.0, (solver.steps + BLOCK) / RAMP_STEPS)
+        solver.advance(BLOCK * solver.max_step, lambda t: factor * load, steps=BLOCK)
+        internal = solver.force(solver.u)
+        du, df = solver.u - old_u, internal - old_internal
+        old_u[:], old_internal[:] = solver.u, internal
+        motion = np.einsum("cn,cn,n->", du, du, solver.mass)
+        if motion > 0:
+            solver.damping = 2 * np.sqrt(max(0.0, np.vdot(du, df) / motion))
+        error = np.linalg.norm((internal - load)[:, free]) / size
+        if factor == 1 and error <= residual:
+            return Equilibrium(solver.u.T.copy(), float(error), solver.steps)
+    raise SolverStopped(
+        "not at rest", f"residual {error:.2g} after {max_steps} steps, {residual:.2g} was asked for; fix the mesh, lower the load or raise max_steps"
+    )

@@ -73,6 +73,7 @@ def evaluate(settings, dataset):
     from unet_fem import figures
     from unet_fem.checkpoint import load_model, write_text
     from unet_fem.data import load_samples
+    from unet_fem.extremes import extremes_table, judge_extremes
 
     folder = settings.folder
     models = {settings.model.kind: load_model(folder / "best.keras"), "linear regression": load_model(folder / "linear.keras")}
@@ -89,26 +90,28 @@ def evaluate(settings, dataset):
                 metrics[name]["hard"] = error_metrics(prediction[hard], samples.select(hard), dataset, volume[hard])
                 test_predictions[name] = prediction, volume
         for which, rows in ((split, slice(None)), *((("hard", samples.hard),) if split == "test" else ())):
-            violation = np.abs(samples.volume[rows] / rest_volume(dataset) - 1)
+            violation = np.abs(samples.volume[rows] / samples.volume[0] - 1)  # the first sample is at rest
             metrics["FEM"][which] = {"volume_violation_mean": float(violation.mean()), "volume_violation_max": float(violation.max())}
+    metrics["extremes"] = judge_extremes(models, dataset, settings.model.window)
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1))
     figures.draw_all(folder / "figures", dataset, parts["test"], test_predictions)
     print(table(metrics, dataset))
+    print(extremes_table(metrics["extremes"], models))
     return metrics
 
 
 def table(metrics, dataset):
     """The metrics as text, a block for each split."""
     counts = {"validation": (dataset.split == "validation").sum(), "test": (dataset.split == "test").sum(), "hard": dataset.hard.sum()}
-    width = max(map(len, metrics))
     lines = []
+    rows = {name: splits for name, splits in metrics.items() if name != "extremes"}
     for split, count in counts.items():
-        lines += ["", f"{split} ({count} interactions)".ljust(width) + "".join(f"  {heading}" for heading, _ in COLUMNS.values())]
+        lines += ["", f"{split} ({count} interactions)" + "".join(f"  {heading}" for heading, _ in COLUMNS.values())]
         pad = len(f"{split} ({count} interactions)")
-        for name, splits in metrics.items():
+        for name, splits in rows.items():
             cells = [form(splits[split][key]) if key in splits[split] else "-" for key, (_, form) in COLUMNS.items()]
             row = "".join(f"  {cell:>{len(heading)}}" for cell, (heading, _) in zip(cells, COLUMNS.values()))
-            lines.append(name.ljust(max(width, pad)) + row)
+            lines.append(name.ljust(pad) + row)
     return "\n".join(lines)
 
 

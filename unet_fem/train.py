@@ -61,7 +61,8 @@ def compile_model(model, settings, dataset, steps_per_epoch):
         rate = keras.optimizers.schedules.CosineDecay(rate, choice.epochs * steps_per_epoch)
     points, faces = dataset.points.reshape(-1, 3), dataset.mesh.grid_index[dataset.mesh.boundary_faces]
     model.compile(
-        keras.optimizers.Adam(rate),
+        # squared millimetres make gradients far below Keras's epsilon of 1e-7, which would turn Adam into slow descent
+        keras.optimizers.Adam(rate, epsilon=1e-12),
         losses.volume_loss(
             points, faces, weight=loss.volume_weight, threshold=loss.volume_threshold, direction_weight=loss.direction_weight
         ),
