@@ -13,8 +13,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse  # noqa: E402
 import json  # noqa: E402
-import platform  # noqa: E402
-import time  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
@@ -25,6 +23,7 @@ from fem.errors import command_line  # noqa: E402
 from fem.material import Material  # noqa: E402
 from fem.mesh import box, tumour  # noqa: E402
 from fem.solver import BLOCK, STRIDE, Solver  # noqa: E402
+from fem.timing import alternate, paired_ratio, processor, quantiles  # noqa: E402
 
 ELASTIC = Material(mu=400.0, nu=0.42, density=1000.0)
 VISCOUS = Material(mu=400.0, nu=0.42, density=1000.0, prony=((0.12, 330.0), (0.8, 11.0)))
@@ -95,21 +94,6 @@ class Run:
         return STRIDE
 
 
-def alternate(actions, rounds):
-    """Microseconds per unit of each action, {name: array (rounds,)}; the actions take turns. An action returns its units."""
-    times = {name: [] for name in actions}
-    for _ in range(rounds):
-        for name, action in actions.items():
-            start = time.perf_counter()
-            units = action()
-            times[name].append((time.perf_counter() - start) / units * 1e6)
-    return {name: np.array(values) for name, values in times.items()}
-
-
-def quantiles(values):
-    return {f"p{q}": round(float(np.percentile(values, q)), 1) for q in (10, 50, 90)}
-
-
 def tumour_table(rounds):
     """Microseconds per step of all variants and both yardsticks on the tumour."""
     mesh = tumour()
@@ -121,19 +105,19 @@ def tumour_table(rounds):
         if force is not None:
             np.testing.assert_allclose(force(u).reshape(-1, 3).T, reference(u), rtol=1e-9, atol=1e-15)  # the same work
             actions[name] = lambda force=force: force(u) is not None
-    times = alternate(actions, rounds)
+    times = {name: 1e6 * values for name, values in alternate(actions, rounds).items()}
     base = times["full float64 elastic"]
     print("\n## The tumour, 1314 hexahedra, microseconds a step\n")
     print("| variant | p10 | p50 | p90 | against full float64 elastic (p50 of paired ratios) |\n|---|---|---|---|---|")
     result = {}
     for name, values in times.items():
-        ratio = float(np.median(values / base))
-        result[name] = quantiles(values) | {"ratio": round(ratio, 3)}
+        ratio = paired_ratio(values, base)
+        result[name] = quantiles(values, (10, 50, 90), 1) | {"ratio": round(ratio, 3)}
         print(f"| {name} | {result[name]['p10']:.0f} | {result[name]['p50']:.0f} | {result[name]['p90']:.0f} | {ratio:.2f} |")
     print("\nViscoelastic over elastic, paired: ", end="")
     for kind in ("full", "reduced"):
         for precision in ("float64", "float32"):
-            ratio = float(np.median(times[f"{kind} {precision} viscoelastic"] / times[f"{kind} {precision} elastic"]))
+            ratio = paired_ratio(times[f"{kind} {precision} viscoelastic"], times[f"{kind} {precision} elastic"])
             result[f"{kind} {precision} viscoelastic"]["over elastic"] = round(ratio, 3)
             print(f"{kind} {precision} {ratio:.2f}", end="; ")
     print()
@@ -150,8 +134,8 @@ def frame_table(rounds):
             scaling = max(1.0, (44 / steps) ** 2)
             solver = Solver(mesh, VISCOUS, kind, "float32", damping=50.0, mass_scaling=scaling)
             load = gentle_load(mesh)
-            times = alternate({"frame": lambda: solver.advance(FRAME, lambda t: load, steps=steps) or 1}, rounds)["frame"] / 1e3
-            result[f"{kind} {steps} steps"] = quantiles(times) | {"mass_scaling": scaling, "stable": bool(FRAME / steps <= solver.critical_step)}
+            times = alternate({"frame": lambda: solver.advance(FRAME, lambda t: load, steps=steps)}, rounds)["frame"] * 1e3
+            result[f"{kind} {steps} steps"] = quantiles(times, (10, 50, 90), 2) | {"mass_scaling": scaling, "stable": bool(FRAME / steps <= solver.critical_step)}
             q = result[f"{kind} {steps} steps"]
             print(f"| {kind} | {steps} | {scaling:g} | {q['p10']:.1f} | {q['p50']:.1f} | {q['p90']:.1f} |")
     return result
@@ -168,7 +152,7 @@ def size_table(boxes, rounds):
             if (kind, precision) in (("full", "float32"), ("reduced", "float64")):
                 continue  # between the others
             run = Run(mesh, kind, precision, material)
-            times = alternate({"step": run}, rounds if mesh_name == "tumour" else 3)["step"]
+            times = 1e6 * alternate({"step": run}, rounds if mesh_name == "tumour" else 3)["step"]
             per_cell = float(np.median(times)) / mesh.n_cells
             key = f"{kind} {precision} {name}"
             first.setdefault(key, per_cell)
@@ -207,17 +191,6 @@ def main(arguments=None):
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n")
         print(f"\nwrote {options.out}")
-
-
-def processor():
-    """Model name and vector extensions of this machine."""
-    try:
-        text = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        return platform.processor() or platform.machine()
-    model = next((line.split(":")[1].strip() for line in text.splitlines() if line.startswith("model name")), platform.machine())
-    flags = [flag for flag in ("avx2", "avx512f", "avx512_vnni", "avx512_bf16", "amx_int8", "amx_bf16") if f" {flag}" in text]
-    return f"{model} ({' '.join(flags)})"
 
 
 if __name__ == "__main__":

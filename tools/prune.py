@@ -1,0 +1,182 @@
+"""Make a trained network smaller, by zeros or by whole filters, fine-tune it, and measure what that gives.
+
+    python tools/prune.py runs/<name> [--filters] [--sparsity 0.5 0.8] [--epochs 10]
+
+Without --filters: magnitude pruning of the convolutions (TensorFlow Model Optimization), the paper's study. With it:
+the least filters (U-Net) or units (CNN-LSTM) are removed. Each result is a run of its own, runs/<name>_pruned50 or
+runs/<name>_thin50, for every other tool to work on. Its figures go to pruning.json there.
+"""
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from fem.errors import InputError, command_line
+from fem.timing import alternate, paired_ratio
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
+def thinner(settings, sparsity, multiple):
+    """The model settings with about a share `sparsity` of the parameters gone; `multiple` is the step of LSTM units."""
+    choice = settings.model
+    if choice.kind == "unet":
+        return dataclasses.replace(choice, filters=max(1, round(choice.filters * math.sqrt(1 - sparsity))))
+    features = 2305  # of the pooled first convolution, and a bias: the LSTM has 8 N (features + N) weights
+    goal = (1 - sparsity) * choice.units * (choice.units + features)
+    units = (math.sqrt(features**2 + 4 * goal) - features) / 2
+    return dataclasses.replace(choice, units=max(multiple, round(units / multiple) * multiple))
+
+
+def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
+    """Prune and fine-tune into a run folder of its own, unless that is done already. Returns its settings."""
+    from unet_fem import checkpoint, data, losses, prune, train
+
+    model = checkpoint.load_model(settings.folder / "best.keras")
+    choice = settings.model
+    if by_filters:
+        cells = 1 if choice.kind == "unet" else math.prod(model.get_layer("block").target_shape[:-1])
+        choice = thinner(settings, sparsity, cells // math.gcd(2, cells))
+    name = f"{settings.name}_{'thin' if by_filters else 'pruned'}{100 * sparsity:.0f}"
+    tuning = dataclasses.replace(settings.train, epochs=epochs, learning_rate=learning_rate, precision="float32")
+    small = dataclasses.replace(settings, name=name, model=choice, train=tuning)
+    done = small.folder / "best.keras"
+    if (small.folder / "pruned").is_file():
+        print(f"{small.folder} is done already; delete it to make it again")
+        return small
+    train.prepare_folder(small, resume=(small.folder / "config.toml").is_file())
+    samples = {split: data.load_samples(dataset, split, settings.model.window) for split in ("train", "validation")}
+    print(f"making {small.folder}: {epochs} epochs of fine-tuning", flush=True)
+    if by_filters:
+        thin = prune.thin(model, choice.filters if choice.kind == "unet" else choice.units)
+        train.compile_model(thin, small, dataset, -(-len(samples["train"]) // tuning.batch_size))
+        train.fit(thin, small, samples["train"], samples["validation"])
+    else:
+        points, faces = dataset.points.reshape(-1, 3), dataset.mesh.grid_index[dataset.mesh.boundary_faces]
+        loss = losses.volume_loss(points, faces, weight=settings.loss.volume_weight, threshold=settings.loss.volume_threshold)
+        prune.magnitude_prune(
+            model, sparsity, samples["train"].force, samples["train"].displacement, loss,
+            epochs=epochs, batch_size=tuning.batch_size, learning_rate=learning_rate,
+        )  # fmt: skip
+        checkpoint.save_model(model, done)
+    shutil.copy(settings.folder / "linear.keras", small.folder / "linear.keras")
+    (small.folder / "pruned").touch()
+    return small
+
+
+def measure(settings, dataset):
+    """Errors, sizes and surrogates of one run: (figures, {variant: Surrogate})."""
+    from unet_fem import checkpoint, data, evaluate, lite, runtime
+
+    model = checkpoint.load_model(settings.folder / "best.keras")
+    test = data.load_samples(dataset, "test", settings.model.window)
+    prediction, volume = evaluate.predict(model, test, dataset)
+    every = evaluate.error_metrics(prediction, test, dataset, volume)["relative_l2"]
+    hard = evaluate.error_metrics(prediction[test.hard], test.select(test.hard), dataset, volume[test.hard])["relative_l2"]
+    weights = [w for w in model.get_weights() if w.ndim > 1]
+    shown = lite.calibration_windows(data.load_samples(dataset, "train", settings.model.window).force)
+    about = runtime_facts(dataset)
+    folder = settings.folder / "lite"
+    folder.mkdir(exist_ok=True)
+    figures = {
+        "parameters": model.count_params(),
+        "zeros": sum(int((w == 0).sum()) for w in weights) / sum(w.size for w in weights),
+        "test_relative_l2": every,
+        "hard_relative_l2": hard,
+    }
+    surrogates = {}
+    for variant in ("float32", "int8"):
+        path = folder / f"{variant}.tflite"
+        runtime.write_surrogate(path, lite.export(model, variant, shown), **about)
+        surrogates[variant] = runtime.Surrogate(path)
+        figures[f"{variant}_MB"] = path.stat().st_size / 1e6
+        figures[f"{variant}_zipped_MB"] = zipped_size(path) / 1e6
+    return figures, surrogates
+
+
+def runtime_facts(dataset):
+    """What a surrogate file says beside its graph, see unet_fem.runtime.write_surrogate."""
+    from unet_fem.runtime import force_size
+
+    return {
+        "mask": dataset.free,
+        "points": dataset.points.reshape(-1, 3),
+        "faces": dataset.mesh.grid_index[dataset.mesh.boundary_faces],
+        "interval": dataset.scene.frames.interval,
+        "largest_force": force_size(dataset.read("train")["force"]),
+    }
+
+
+def zipped_size(path):
+    archive = path.with_suffix(".zip")
+    try:
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
+            file.write(path, path.name)
+        return archive.stat().st_size
+    finally:
+        archive.unlink(missing_ok=True)
+
+
+def compare(runs, dataset, rounds):
+    """Figures of all runs with paired latencies, one thread, {name: figures}; the first run is the one to beat."""
+    figures, actions = {}, {}
+    force = dataset.read("test")["force"][0]
+    for settings in runs:
+        figures[settings.name], surrogates = measure(settings, dataset)
+        for variant, surrogate in surrogates.items():
+            out = np.empty(force.shape[1:], "float32")
+            actions[settings.name, variant] = lambda s=surrogate, out=out: s.step(force[-1], out) is None
+    times = alternate(actions, rounds, warm_up=20)
+    for (name, variant), values in times.items():
+        figures[name][f"{variant}_ms"] = 1e3 * float(np.median(values))
+        figures[name][f"{variant}_speed-up"] = paired_ratio(times[runs[0].name, variant], values)
+    return figures
+
+
+def table(figures):
+    lines = [
+        "| run | parameters | zeros % | test L2 % | hard L2 % | float32 MB | zipped | int8 MB | float32 ms | faster | int8 ms | faster |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, f in figures.items():
+        lines.append(
+            f"| {name} | {f['parameters']:,} | {100 * f['zeros']:.0f} | {100 * f['test_relative_l2']:.1f} | {100 * f['hard_relative_l2']:.1f} "
+            f"| {f['float32_MB']:.2f} | {f['float32_zipped_MB']:.2f} | {f['int8_MB']:.2f} "
+            f"| {f['float32_ms']:.2f} | {f['float32_speed-up']:.2f}x | {f['int8_ms']:.2f} | {f['int8_speed-up']:.2f}x |"
+        )
+    return "\n".join(lines)
+
+
+@command_line
+def main(arguments=None):
+    parser = argparse.ArgumentParser(prog="python tools/prune.py", description=__doc__.split("\n")[0])
+    parser.add_argument("run", type=Path, help="folder of a training run, such as runs/quick")
+    parser.add_argument("--filters", action="store_true", help="remove whole filters or units instead of single weights")
+    parser.add_argument("--sparsity", type=float, nargs="+", default=[0.5, 0.8], help="shares to remove (default: 0.5 0.8)")
+    parser.add_argument("--epochs", type=int, default=10, help="of fine-tuning (default: 10)")
+    parser.add_argument("--learning-rate", type=float, default=3e-4, help="of fine-tuning, falling to zero (default: 3e-4)")
+    parser.add_argument("--rounds", type=int, default=200, help="paired timings of each (default: 200)")
+    options = parser.parse_args(arguments)
+    if not all(0 < s < 1 for s in options.sparsity) or options.epochs < 1 or options.rounds < 1:
+        raise InputError(f"--sparsity {options.sparsity} must lie between 0 and 1, --epochs and --rounds be at least 1")
+    from unet_fem.checkpoint import write_text
+    from unet_fem.evaluate import open_run
+
+    settings, dataset = open_run(options.run)
+    small = [smaller_run(settings, dataset, s, options.filters, options.epochs, options.learning_rate) for s in options.sparsity]
+    figures = compare([settings, *small], dataset, options.rounds)
+    kind = "filters" if options.filters else "weights"
+    write_text(settings.folder / f"pruning_{kind}.json", json.dumps(figures, indent=1))
+    print(f"\n{table(figures)}\n\nwrote {settings.folder / f'pruning_{kind}.json'}")
+    print(f"next: python tools/benchmark.py {' '.join(str(s.folder) for s in [settings, *small])}")
+
+
+if __name__ == "__main__":
+    main()
