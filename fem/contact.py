@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
+import scipy.spatial
 
 from fem import element
 from fem.errors import InputError
@@ -102,7 +103,7 @@ class Surface:
         entries = (weight.ravel(), (row.ravel(), np.broadcast_to(column, row.shape).ravel()))
         self.spread = scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
         rim = mesh.points[np.union1d(faces[mesh.fixed[faces]], _edge_nodes(faces))]
-        self.clearance = np.min(np.linalg.norm(self.points[:, None] - rim, axis=2), axis=1) if len(rim) else np.full(len(self.area), np.inf)
+        self.clearance = scipy.spatial.cKDTree(rim).query(self.points)[0]  # (P,) m, inf without a rim
 
     def footprint(self, centre, radius):
         """Share of a unit force that each node takes, (N,): consistent with the pressure (1 - r^2/R^2)^2, sum exactly 1.

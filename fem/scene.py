@@ -92,10 +92,15 @@ class SolverChoice:
 
     element: Literal["full", "mean_dilatation", "reduced"] = "full"
     precision: Literal["float32", "float64"] = "float32"
-    hourglass_stiffness: float = 0.05
+    hourglass_stiffness: float | None = None
     damping: float = 0.0
     mass_scaling: float = 1.0
     safety: float = 0.85
+
+    def __post_init__(self):
+        # the solver's default; the other elements have no use for it, so that there it must not make two scenes of one
+        stiffness = (0.2 if self.hourglass_stiffness is None else self.hourglass_stiffness) if self.element == "reduced" else None
+        object.__setattr__(self, "hourglass_stiffness", stiffness)
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,15 @@ threads (made by tools/quantize.py), and the FEM per frame of 10 ms. Prints Mark
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from fem.dataset import versions
 from fem.errors import InputError, command_line
@@ -56,8 +59,40 @@ def network_actions(settings, dataset):
             actions[name] = lambda s=surrogate, out=out: s.step(force[0, -1], out) is None
             places[name] = path
             if threads == 1:
-                actions[f"{settings.name}: {path.stem}, graph alone"] = lambda s=surrogate: s.invoke()
+                actions[f"{settings.name}: {path.stem}, graph alone"] = graph_alone(path)
     return actions, places
+
+
+def graph_alone(path):
+    """The interpreter's own work, without the window, the checks and the copies around it."""
+    from ai_edge_litert.interpreter import Interpreter
+
+    interpreter = Interpreter(str(path), num_threads=1)
+    interpreter.allocate_tensors()
+    return lambda: interpreter.invoke()
+
+
+def soak(path, dataset, steps):
+    """`steps` calls of the surrogate at `path` on a test interaction over and over: quantiles in ms, growth in MB."""
+    from unet_fem.runtime import Surrogate
+
+    surrogate = Surrogate(path)
+    force = np.concatenate(list(dataset.read("test")["force"][:4]))
+    out, times = np.empty(force.shape[1:], "float32"), np.empty(steps)
+    first = None
+    for n in tqdm(range(steps), desc=f"soaking {path}", unit="step", mininterval=2):
+        start = time.perf_counter()
+        surrogate.step(force[n % len(force)], out)
+        times[n] = time.perf_counter() - start
+        if n == steps // 100:
+            first = resident_mb()
+    return quantiles(1e3 * times, (50, 99, 99.9)) | {"steps": steps, "growth_MB": round(resident_mb() - first, 2)}
+
+
+def resident_mb():
+    """Resident memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
 
 
 def fem_actions(dataset):
@@ -78,11 +113,12 @@ def fem_actions(dataset):
 def peak_memory(path, dataset):
     """Peak resident memory in MB of a process that loads the surrogate at `path` and steps it, TensorFlow left out."""
     code = (
-        "import resource, sys, numpy as np; from unet_fem.runtime import Surrogate; s = Surrogate(sys.argv[1]);"
+        "import sys, numpy as np; from unet_fem.runtime import Surrogate; s = Surrogate(sys.argv[1]);"
         " f = np.zeros((*s.grid, 3), 'float32'); [s.step(f) for _ in range(50)];"
-        " print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+        " print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
     )
-    return float(subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True).stdout)
+    # VmHWM, since ru_maxrss of a child starts at the size of the process that forked it
+    return float(subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True).stdout) / 1024
 
 
 def markdown(result):
@@ -98,12 +134,14 @@ def markdown(result):
         cells = [f"{f[q]:.2f}" for q in ("p50", "p90", "p99", "worst")]
         cells += [f"{f['speed_up']:.1f}x" if "speed_up" in f else "", f"{f['MB']:.2f}" if "MB" in f else "", f"{f['memory_MB']:.0f}" if "memory_MB" in f else ""]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    for name, f in result.get("soak_ms", {}).items():
+        lines += ["", f"Soak of {name}, {f['steps']:,} steps: p50 {f['p50']:.2f}, p99 {f['p99']:.2f}, p99.9 {f['p99.9']:.2f}, worst {f['worst']:.2f} ms; memory grew by {f['growth_MB']:.1f} MB."]
     lines += ["", "The paper: U-Net 22 ms, CNN-LSTM 32 ms on its CPU, FEM 10 ms (fixed)."]
     return "\n".join(lines)
 
 
-def benchmark(folders, rounds):
-    """The figures of all runs and of the FEM, as one nested dict."""
+def benchmark(folders, rounds, soak_steps):
+    """The figures of all runs and of the FEM, as one nested dict; soak_steps > 0 also soaks the int8 file of each."""
     from unet_fem.evaluate import open_run
 
     runs = [open_run(folder) for folder in folders]
@@ -127,7 +165,13 @@ def benchmark(folders, rounds):
             latency[name]["MB"] = place.stat().st_size / 1e6
             if place.suffix == ".tflite" and "1 thread" in name:
                 latency[name]["memory_MB"] = peak_memory(place, runs[0][1])
-    return {"machine": machine(rounds), "latency_ms": latency}
+    result = {"machine": machine(rounds), "latency_ms": latency}
+    if soak_steps:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            soaks = {f"{run.name}: int8": soak(run.folder / "lite/int8.tflite", dataset, soak_steps) for run, dataset in runs}
+        result["soak_ms"] = soaks
+    return result
 
 
 def machine(rounds):
@@ -148,11 +192,12 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog="python tools/benchmark.py", description=__doc__.split("\n")[0])
     parser.add_argument("runs", nargs="+", type=Path, help="folders of training runs, such as runs/quick")
     parser.add_argument("--rounds", type=int, default=300, help="timings of each variant (default: 300)")
+    parser.add_argument("--soak", type=int, default=0, metavar="STEPS", help="also call each int8 file this often, such as 100000")
     parser.add_argument("--out", type=Path, help="write <out>.md and <out>.json")
     options = parser.parse_args(arguments)
-    if options.rounds < 1:
-        raise InputError(f"--rounds {options.rounds} must be at least 1")
-    result = benchmark(options.runs, options.rounds)
+    if options.rounds < 1 or options.soak < 0:
+        raise InputError(f"--rounds {options.rounds} must be at least 1 and --soak {options.soak} not negative")
+    result = benchmark(options.runs, options.rounds, options.soak)
     text = markdown(result)
     print(text)
     if options.out:

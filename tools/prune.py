@@ -82,7 +82,7 @@ def measure(settings, dataset):
     hard = evaluate.error_metrics(prediction[test.hard], test.select(test.hard), dataset, volume[test.hard])["relative_l2"]
     weights = [w for w in model.get_weights() if w.ndim > 1]
     shown = lite.calibration_windows(data.load_samples(dataset, "train", settings.model.window).force)
-    about = runtime_facts(dataset)
+    about = lite.surrogate_facts(dataset)
     folder = settings.folder / "lite"
     folder.mkdir(exist_ok=True)
     figures = {
@@ -99,19 +99,6 @@ def measure(settings, dataset):
         figures[f"{variant}_MB"] = path.stat().st_size / 1e6
         figures[f"{variant}_zipped_MB"] = zipped_size(path) / 1e6
     return figures, surrogates
-
-
-def runtime_facts(dataset):
-    """What a surrogate file says beside its graph, see unet_fem.runtime.write_surrogate."""
-    from unet_fem.runtime import force_size
-
-    return {
-        "mask": dataset.free,
-        "points": dataset.points.reshape(-1, 3),
-        "faces": dataset.mesh.grid_index[dataset.mesh.boundary_faces],
-        "interval": dataset.scene.frames.interval,
-        "largest_force": force_size(dataset.read("train")["force"]),
-    }
 
 
 def zipped_size(path):

@@ -36,10 +36,8 @@ def node_distance(dataset, a, b=0.0):
 
 
 def normalised_depth(dataset):
-    """0 at the free surface, 1 at the bottom, for every free node (n,)."""
-    z = dataset.points[..., 2]
-    top, bottom = z[dataset.mask].max(), z[dataset.mask].min()
-    return (top - z[dataset.free]) / (top - bottom)
+    """0 in the loaded layer of the grid, 1 in the deepest, for every free node (n,)."""
+    return 1 - np.argwhere(dataset.free)[:, 2] / (dataset.grid[2] - 1)
 
 
 def error_vs_depth(dataset, samples, fields):
@@ -91,7 +89,7 @@ def test_interactions(dataset, samples, predictions):
     figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True)
     axes[0].bar(numbers, largest(force), color="slategray")
     axes[0].set_ylabel("largest total force (mN)")
-    axes[1].plot(numbers, 100 * largest(np.abs(samples.volume / rest - 1)), "k.-", label="FEM", linewidth=0.8)
+    axes[1].plot(numbers, 100 * largest(np.abs(samples.volume / samples.volume[0] - 1)), "k.-", label="FEM", linewidth=0.8)
     for name, (_, volume) in predictions.items():
         axes[1].plot(numbers, 100 * largest(np.abs(volume / rest - 1)), ".-", label=name, linewidth=0.8)
     axes[1].axhline(7, color="crimson", linestyle="--", linewidth=1, label="7 % gate")
@@ -109,27 +107,41 @@ def displacement_fields(dataset, samples, model):
     name, field = model
     distance = node_distance(dataset, samples.displacement)
     worst = np.unravel_index(distance.argmax(), distance.shape)
-    j = np.argwhere(dataset.free)[worst[1]][1]  # the section y = const through that node
+    layers = np.unique(np.unravel_index(dataset.cells, dataset.grid)[1])  # those with cells: an embedded mesh moves nodes beside it too
+    j = layers[np.abs(layers - np.argwhere(dataset.free)[worst[1]][1]).argmin()]  # the section through that node
+    plane = section_plane(dataset)
     truth, found = samples.displacement[worst[0]], field[worst[0]]
     quads = section_quads(dataset, j)
     figure, axes = plt.subplots(1, 3, figsize=(11, 2.6), sharey=True, sharex=True, layout="constrained")
     panels = (("FEM", truth, truth), (name, found, found), ("difference", truth, found - truth))
     limit = np.linalg.norm(truth[:, j], axis=-1).max()
     for axis, (title, shape, values) in zip(axes, panels):
-        moved = (dataset.points + shape)[:, j][..., [0, 2]].reshape(-1, 2)  # (nx*nz, 2) x and z in mm
+        moved = (dataset.points + shape)[:, j].reshape(-1, 3) @ plane  # (nx*nz, 2) mm
         colour = np.linalg.norm(values[:, j], axis=-1).ravel()[quads].mean(axis=1)
         cells = PolyCollection(moved[quads], array=colour, cmap="viridis", edgecolors="k", linewidths=0.2)
         cells.set_clim(0, limit)
         axis.add_collection(cells)
-        axis.set(title=f"{title} (max {np.linalg.norm(values[:, j], axis=-1).max():.2f} mm)", xlabel="x (mm)", aspect="equal")
+        axis.set(title=f"{title} (max {np.linalg.norm(values[:, j], axis=-1).max():.2f} mm)", xlabel="across (mm)", aspect="equal")
         axis.autoscale_view()
-    axes[0].set_ylabel("z (mm)")
+    axes[0].set_ylabel("up (mm)")
     figure.colorbar(cells, ax=axes, label="displacement (mm)", shrink=0.8)
-    y = dataset.points[:, j][dataset.mask[:, j]][:, 1].mean()
     figure.suptitle(
-        f"Test interaction {samples.interaction[worst[0]]}, the largest displacement of all: section at y = {y:.1f} mm; the difference is drawn on the FEM's shape"
+        f"Test interaction {samples.interaction[worst[0]]}, the largest displacement of all: section {j + 1} of {dataset.grid[1]};"
+        " the difference is drawn on the FEM's shape"
     )
     return figure
+
+
+def section_plane(dataset):
+    """(3, 2) unit vectors across and up: along the grid's first and third axes as they run on the whole (x and z for the tumour)."""
+
+    def mean_step(axis):
+        points, mask = np.moveaxis(dataset.points, axis, 0), np.moveaxis(dataset.mask, axis, 0)
+        return (points[1:] - points[:-1])[mask[1:] & mask[:-1]].mean(axis=0)
+
+    across, up = mean_step(0), mean_step(2)
+    up = up - across * (across @ up) / (across @ across)
+    return np.stack([across / np.linalg.norm(across), up / np.linalg.norm(up)], axis=1)
 
 
 def section_quads(dataset, j):
