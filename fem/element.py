@@ -29,6 +29,13 @@ def quad_shape(points):
     return s * t / 4.0, np.stack([a * t, b * s], axis=1) / 4.0
 
 
+def corner_jacobians(x):
+    """det dX_i/dxi_r at the corners of cells with nodes at x (3, 8, E): (8, E)."""
+    along_x, along_y, along_z = x[:, [1, 2, 5, 6]] - x[:, [0, 3, 4, 7]], x[:, [3, 2, 7, 6]] - x[:, [0, 1, 4, 5]], x[:, 4:] - x[:, :4]
+    normal = np.cross(along_y[:, [0, 1, 1, 0, 2, 3, 3, 2]], along_z[:, [0, 1, 2, 3, 0, 1, 2, 3]], axis=0)
+    return np.einsum("iae,iae->ae", along_x[:, [0, 0, 1, 1, 2, 2, 3, 3]], normal) / 8
+
+
 def jacobians(points, cells, where):
     """dX_i/dxi_r of cells (E, 8) with nodes at `points` (N, 3), at reference points `where` (Q, 3): (E, Q, 3, 3)."""
     return np.einsum("eai,qra->eqir", points[cells], shape_gradients(where))

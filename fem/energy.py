@@ -15,7 +15,8 @@ class EnergyLedger:
     viscous is the work of the viscous stresses: minus the elastic energy that relaxation has spared so far.
     imbalance is relative to the largest of external work and stored energy so far (at least 1e-6 mu V, the energy of a
     strain of about 0.1 %, so that the first faint touch does not count). `rows` holds one balance about
-    every 128 steps, in the order of COLUMNS. Raises SolverStopped("energy imbalance") beyond 10 %.
+    every 128 steps, in the order of COLUMNS. Raises SolverStopped("energy imbalance") beyond 10 %, there or in the last step
+    of an `advance`.
     """
 
     def __init__(self):
@@ -35,26 +36,31 @@ class EnergyLedger:
             self.damping += 0.5 * self._dt * (self._loss + loss)
             self._loss = loss
         self._dt = solver.dt
-        if solver.block_start:
-            self.smallest_J = min(self.smallest_J, solver.force.min_J)
+        self.smallest_J = min(self.smallest_J, solver.force.min_J)
         if solver.viscous_current and solver.steps >= self._next:
             self._next = solver.steps + CHECK_EVERY
             self._balance(solver)
+        elif solver.last_step:
+            self._judge(self.balance(solver))
 
     def balance(self, solver):
-        """The balance of the step just observed, in the order of COLUMNS; exact where solver.viscous_current."""
+        """The balance of the step just observed, in the order of COLUMNS; at any step."""
         mean = 0.5 * (solver.v_old + solver.v) if solver.steps else solver.v_old
         strain, hourglass = solver.tangent.energies(solver.u)
-        kinetic, viscous = kinetic_energy(solver.mass, mean), solver.force.viscous_work
+        kinetic, viscous = kinetic_energy(solver.mass, mean), solver.force.viscous_energy(solver.u)
         stored = kinetic + strain + hourglass + viscous + self.damping
         scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
         return solver.time, kinetic, strain, hourglass, viscous, self.damping, self.external, abs(self.external - stored) / scale
 
     def _balance(self, solver):
         row = self.balance(solver)
-        time, kinetic, strain, *_, imbalance = row
+        _, kinetic, strain, *_ = row
         self.scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
         self.rows.append(row)
+        self._judge(row)
+
+    def _judge(self, row):
+        time, *_, imbalance = row
         if not imbalance <= LIMIT:
             raise SolverStopped(
                 "energy imbalance", f"energy is out of balance by {100 * imbalance:.0f} % at {time:.4g} s; lower the step (solver.safety) or the load"

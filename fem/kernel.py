@@ -3,6 +3,12 @@
 Arrays are components-first, (3, 8, E) and (3, 3, Q, E): each ufunc then runs over long contiguous planes. The products
 with shape gradients are matrix products with one small matrix that all cells share. What a scene does not need (stress
 history, hourglass control, cell-wise Jacobians) is chosen once, when the kernel is built.
+
+Stresses are in units of mu and start from H = F - I and j = J - 1, never from F and J: a strain of 1e-8 then keeps all its
+digits, in float32 too, and so does the small j of nearly incompressible tissue.
+
+    P = mu F + (K j - mu/J) cof F = H + (q - 1)(cof H - H^T) + (q + (q - 1) tr H) I,   q = j/J + K j   (mu = 1)
+    j = tr H + tr cof H + det H,   cof F = (1 + tr H) I - H^T + cof H
 """
 
 import numpy as np
@@ -21,13 +27,13 @@ class InternalForce:
     element: "full" (2 x 2 x 2 points), "mean_dilatation" (the same with one pressure a cell, which does not lock as nu
     goes to 0.5) or "reduced" (one point and hourglass control).
     precision: "float64" or "float32" for the work inside cells; nodal vectors are float64 in both.
-    hourglass_stiffness: dimensionless, used by "reduced" alone.
+    hourglass_stiffness: in units of mu, used by "reduced" alone.
 
-    After a call, `min_J` and `stiffening` describe that state if `check` was true. With Prony terms the viscous part of
+    After a call, `min_J` and its `worst_cell` describe that state, and so does `stiffening` if `check` was true. With Prony terms the viscous part of
     the stress is brought up to date by `relax(dt)` before a call, and is otherwise kept as it was.
     """
 
-    def __init__(self, mesh, material, element="full", precision="float64", hourglass_stiffness=0.05):
+    def __init__(self, mesh, material, element="full", precision="float64", hourglass_stiffness=0.2):
         if element not in ELEMENTS:
             raise InputError(f"element '{element}' is not one of {', '.join(ELEMENTS)}")
         if precision not in ("float64", "float32"):
@@ -44,7 +50,7 @@ class InternalForce:
         starts = range(0, mesh.n_cells, CHUNK)
         self._chunks = [make(self, slice(s, min(s + CHUNK, mesh.n_cells)), index, hourglass_stiffness) for s in starts]
         self._relax = None
-        self.viscous_work = 0.0  # J, work of the viscous stresses so far: minus what relaxation has spared
+        self.viscous_work = 0.0  # J, work of the viscous stresses up to their last update
 
     def scratch(self, name, shape):
         """A work array that all chunks share; contents do not survive the next chunk."""
@@ -64,8 +70,9 @@ class InternalForce:
         """Internal force (3, N) at displacement u (3, N)."""
         u = u if u.dtype == self.dtype else u.astype(self.dtype)
         coefficients = None if self._relax is None else history_coefficients(self.material.prony, *self._relax)
+        self.min_J = np.inf
         if check:
-            self.min_J, self.stiffening = np.inf, 0.0
+            self.stiffening = 0.0
         for chunk in self._chunks:
             chunk.add_force(u, self._cell_force[:, :, chunk.cells], coefficients, check)
         self._relax = None
@@ -78,6 +85,11 @@ class InternalForce:
         """(strain, hourglass) energy in J of the displacement u (3, N), the strain energy without relaxation."""
         u = u if u.dtype == self.dtype else u.astype(self.dtype)
         return tuple(np.sum([chunk.energies(u) for chunk in self._chunks], axis=0))
+
+    def viscous_energy(self, u):
+        """Work in J of the viscous stresses up to the displacement u (3, N): minus what relaxation has spared so far."""
+        u = u if u.dtype == self.dtype else u.astype(self.dtype)
+        return self.viscous_work + sum(chunk.pending_work(u) for chunk in self._chunks)
 
     def dilatation(self, u):
         """J of every cell (E,), the mean over its points, at displacement u (3, N)."""
@@ -110,7 +122,8 @@ class _FullCells:
         self.n, self.q = cells.stop - cells.start, len(self.rule)
         self.index = np.ascontiguousarray(index[:, cells])
         self.mean_dilatation = force.element == "mean_dilatation"
-        mesh, dtype = force.mesh, force.dtype
+        mesh, dtype, mu = force.mesh, force.dtype, force.material.mu
+        self.bulk = force.material.K / mu
         jacobian = element.jacobians(mesh.points, mesh.cells[cells], self.rule)  # (E, Q, 3, 3)
         gradients = element.shape_gradients(self.rule)  # (Q, 3, 8)
         if mesh.congruent:
@@ -119,159 +132,177 @@ class _FullCells:
             self.to_physical = None
             self.volume = volume[:, None]  # (Q, 1)
             self.gradient = physical.reshape(3 * self.q, 8).astype(dtype)
-            self.divergence = np.ascontiguousarray((physical * volume[:, None]).reshape(3 * self.q, 8).T, dtype)
+            self.divergence = np.ascontiguousarray((physical * (mu * volume[:, None])).reshape(3 * self.q, 8).T, dtype)
         else:
             self.to_physical = np.ascontiguousarray(np.linalg.inv(jacobian).transpose(2, 3, 1, 0), dtype)  # (r, j, Q, E)
             self.volume = np.ascontiguousarray(np.linalg.det(jacobian).T * self.weight)  # (Q, E)
-            self.volume_low = self.volume.astype(dtype)
+            self.force_weight = (mu * self.volume).astype(dtype)  # N m
             self.gradient = gradients.transpose(1, 0, 2).reshape(3 * self.q, 8).astype(dtype)
             self.divergence = np.ascontiguousarray(self.gradient.T)
         self.cell_volume = (self.volume * np.ones((self.q, self.n))).sum(axis=0)  # (E,)
         self._start_history()
 
     def _start_history(self):
-        """Rest: no relaxed stress q, no old stress; M = mu I - sum g q turns P = mu F + p cof F into F M + p cof F."""
+        """Rest: no relaxed stress q, no old stress, no viscous stress V = sum g q; all in units of mu."""
         self.history = None
         if self.force.material.prony:
-            mu = self.force.material.mu
             self.history = np.zeros((len(self.force.material.prony), 6, self.q, self.n))
             self.old_stress = np.zeros((6, self.q, self.n))
-            self.M = np.zeros((3, 3, self.q, self.n), self.force.dtype)
-            self.M.reshape(9, self.q, self.n)[::4] = mu
+            self.V = np.zeros((3, 3, self.q, self.n), self.force.dtype)
             self.pairing = 0.0
 
     def add_force(self, u, out, coefficients, check):
-        X, C, J, p = self._deformation(u, check)
-        F = X[:3]
-        if coefficients is not None:
-            self._update_history(F, C, J, p, coefficients)
-        C *= p
-        if self.history is None:
-            F *= self.force.material.mu
-            F += C
-            P = F
-        else:
-            P = C
-            self._add_product(F, P)
+        scratch, shape = self.force.scratch, (self.q, self.n)
+        H, C, trace, j, J = self._deformation(u)
+        T = scratch("T", (3, *shape))
+        worst = int(J.argmin())  # a NaN counts as smallest
+        low = float(J.flat[worst])
+        if low < self.force.min_J or np.isnan(low):
+            self.force.min_J, self.force.worst_cell = low, self.cells.start + worst % self.n
+        if check:
+            self._check(self._cofactor(H, C, trace), J)
+        cof = None if coefficients is None else self._cofactor(H, C, trace)
+        q, r = np.divide(j, J, out=T[0]), T[1]
+        q += self._pressure(j, T[1])
+        np.subtract(q, 1, out=r)
+        trace *= r
+        trace += q
+        C -= H.swapaxes(0, 1)
+        C *= r
+        C += H
+        C.reshape(9, *shape)[::4] += trace
+        P = C
+        if self.history is not None:
+            if coefficients is not None:
+                self._update_history(H, cof, P, J, coefficients)
+            self._subtract_viscous(H, P)
         self._to_nodes(P, out)
 
-    def _deformation(self, u, check):
-        """F (in rows 0-2 of X), cof F, J and p = K (J - 1) - mu / J, in shared work arrays."""
+    def _deformation(self, u):
+        """H = du/dX, cof H, tr H, j = J - 1 and J, in shared work arrays."""
         scratch, shape = self.force.scratch, (self.q, self.n)
         X, C, T = scratch("X", (5, 3, *shape)), scratch("C", (3, 3, *shape)), scratch("T", (3, *shape))
-        J, p = scratch("J", shape), scratch("p", shape)
-        F = X[:3]
-        self._gradient(u, F)
-        F.reshape(9, *shape)[::4] += 1
+        trace, j, J = scratch("trace", shape), scratch("j", shape), scratch("J", shape)
+        H = X[:3]
+        self._gradient(u, H)
         X[3:] = X[:2]  # rows repeat cyclically, so that one ufunc makes a column of all three cofactor rows
-        for j in range(3):
-            j1, j2 = (j + 1) % 3, (j + 2) % 3
-            np.multiply(X[1:4, j1], X[2:5, j2], out=C[:, j])
-            C[:, j] -= np.multiply(X[1:4, j2], X[2:5, j1], out=T)
-        np.multiply(F[0], C[0], out=T)
-        np.add(T[0], T[1], out=J)
-        J += T[2]
-        if check:
-            self._check(C, J)
-        material = self.force.material
-        np.divide(-material.mu, J, out=p)
-        if self.mean_dilatation:
-            mean = np.einsum("qe,qe->e", self.volume * np.ones((1, self.n)), J) / self.cell_volume
-            p += (material.K * (mean - 1)).astype(J.dtype)
-        else:
-            np.subtract(J, 1, out=T[0])
-            T[0] *= material.K
-            p += T[0]
-        return X, C, J, p
+        for k in range(3):
+            k1, k2 = (k + 1) % 3, (k + 2) % 3
+            np.multiply(X[1:4, k1], X[2:5, k2], out=C[:, k])
+            C[:, k] -= np.multiply(X[1:4, k2], X[2:5, k1], out=T)
+        np.multiply(H[0], C[0], out=T)
+        np.add(T[0], T[1], out=j)
+        j += T[2]
+        np.add(H[0, 0], H[1, 1], out=trace)
+        trace += H[2, 2]
+        for i in range(3):
+            j += C[i, i]
+        j += trace
+        np.add(j, 1, out=J)
+        return H, C, trace, j, J
 
-    def _gradient(self, u, F):
-        """du_c/dX_j at the points, (3, 3, Q, E), into F."""
+    def _cofactor(self, H, C, trace):
+        """cof F from C = cof H, in a work array of its own."""
+        cof = self.force.scratch("cof", C.shape)
+        np.subtract(C, H.swapaxes(0, 1), out=cof)
+        cof.reshape(9, *trace.shape)[::4] += trace + 1
+        return cof
+
+    def _pressure(self, j, out):
+        """K j in units of mu, or K times the cell's mean of j."""
+        if not self.mean_dilatation:
+            return np.multiply(j, self.bulk, out=out)
+        mean = np.einsum("qe,qe->e", self.volume * np.ones((1, self.n)), j) / self.cell_volume
+        return (self.bulk * mean).astype(j.dtype)
+
+    def _gradient(self, u, H):
+        """du_c/dX_j at the points, (3, 3, Q, E), into H."""
         U = self.force.scratch("U", (3, 8, self.n))
         u.take(self.index, axis=1, out=U, mode="clip")
         if self.to_physical is None:
-            np.matmul(self.gradient, U, out=F.reshape(3, 3 * self.q, self.n))
+            np.matmul(self.gradient, U, out=H.reshape(3, 3 * self.q, self.n))
             return
-        H, T = self.force.scratch("H", F.shape), self.force.scratch("T", F.shape[1:])
-        np.matmul(self.gradient, U, out=H.reshape(3, 3 * self.q, self.n))
+        G, T = self.force.scratch("G", H.shape), self.force.scratch("T", H.shape[1:])
+        np.matmul(self.gradient, U, out=G.reshape(3, 3 * self.q, self.n))
         for j in range(3):
-            np.multiply(H[:, 0], self.to_physical[0, j], out=F[:, j])
-            F[:, j] += np.multiply(H[:, 1], self.to_physical[1, j], out=T)
-            F[:, j] += np.multiply(H[:, 2], self.to_physical[2, j], out=T)
+            np.multiply(G[:, 0], self.to_physical[0, j], out=H[:, j])
+            H[:, j] += np.multiply(G[:, 1], self.to_physical[1, j], out=T)
+            H[:, j] += np.multiply(G[:, 2], self.to_physical[2, j], out=T)
 
     def _to_nodes(self, P, out):
         if self.to_physical is None:
             np.matmul(self.divergence, P.reshape(3, 3 * self.q, self.n), out=out)
             return
-        H, T = self.force.scratch("H", P.shape), self.force.scratch("T", P.shape[1:])
-        P *= self.volume_low
+        G, T = self.force.scratch("G", P.shape), self.force.scratch("T", P.shape[1:])
+        P *= self.force_weight
         for r in range(3):
-            np.multiply(P[:, 0], self.to_physical[r, 0], out=H[:, r])
-            H[:, r] += np.multiply(P[:, 1], self.to_physical[r, 1], out=T)
-            H[:, r] += np.multiply(P[:, 2], self.to_physical[r, 2], out=T)
-        np.matmul(self.divergence, H.reshape(3, 3 * self.q, self.n), out=out)
+            np.multiply(P[:, 0], self.to_physical[r, 0], out=G[:, r])
+            G[:, r] += np.multiply(P[:, 1], self.to_physical[r, 1], out=T)
+            G[:, r] += np.multiply(P[:, 2], self.to_physical[r, 2], out=T)
+        np.matmul(self.divergence, G.reshape(3, 3 * self.q, self.n), out=out)
 
-    def _check(self, C, J):
-        """Smallest J, and how much stiffer than at rest the stiffest point is: K + mu/J^2 acts along cof F."""
-        worst = int(J.argmin()) % self.n
-        low = float(J.min())
-        if not low >= self.force.min_J:  # a NaN counts as worse
-            self.force.min_J, self.force.worst_cell = low, self.cells.start + worst
-        material = self.force.material
-        area = np.einsum("cjqe,cjqe->qe", C, C) / 3
+    def _check(self, cof, J):
+        """How much stiffer than at rest the stiffest point is: K + mu/J^2 acts along cof F."""
+        area = np.einsum("cjqe,cjqe->qe", cof, cof) / 3
         with np.errstate(all="ignore"):
-            stiff = material.mu + (material.K + material.mu / np.square(J)) * area
-        self.force.stiffening = max(self.force.stiffening, float(stiff.max()) / material.p_modulus)
+            stiff = 1 + (self.bulk + 1 / np.square(J)) * area
+        self.force.stiffening = max(self.force.stiffening, float(stiff.max()) / (self.bulk + 2))
 
-    def _add_product(self, F, P):
-        """P += F M."""
-        T = self.force.scratch("FM", P.shape)
+    def _subtract_viscous(self, H, P):
+        """P -= F V."""
+        T = self.force.scratch("HV", P.shape)
+        P -= self.V
         for k in range(3):
-            P += np.multiply(F[:, k, None], self.M[k], out=T)
+            P -= np.multiply(H[:, k, None], self.V[k], out=T)
 
-    def _update_history(self, F, C, J, p, coefficients):
-        """Advance every relaxed stress to S_e = mu I + p/J cof^T cof, and refresh M; count the work done meanwhile."""
+    def _update_history(self, H, cof, P, J, coefficients):
+        """Advance every relaxed stress to S_e = F^-1 P_e, and refresh V; count the work done meanwhile."""
         material, force = self.force.material, self.force
-        before = self._pair(F)
+        before = self._pair(H)
         stress = np.empty((6, self.q, self.n))
         for k, (i, j) in enumerate(_VOIGT):
-            np.einsum("cqe,cqe->qe", C[:, i], C[:, j], out=stress[k], casting="same_kind")
-        stress *= p / J
-        stress[:3] += material.mu
+            np.einsum("cqe,cqe->qe", cof[:, i], P[:, j], out=stress[k], casting="same_kind")
+        stress /= J
         relaxed = 0.0
         for (g, _), (a, old, new, forward), q in zip(material.prony, coefficients, self.history):
             q += a * (old * self.old_stress + new * stress - q)
             relaxed = relaxed + g * (q + forward * (stress - q))
         self.old_stress = stress
-        for k, (i, j) in enumerate(_VOIGT):
-            self.M[i, j] = self.M[j, i] = material.mu * (i == j) - relaxed[k]
+        self._hold(stress, relaxed)
         # the viscous stress stood still since the last update, so its work is its product with the change of strain
         force.viscous_work += before - self.pairing
-        self.pairing = self._pair(F)
+        self.pairing = self._pair(H)
 
-    def _pair(self, F):
-        """Integral of (M - mu I) : E over the cells, in J."""
+    def _hold(self, stress, relaxed):
+        """The viscous stress that stands still from now on."""
+        for k, (i, j) in enumerate(_VOIGT):
+            self.V[i, j] = self.V[j, i] = relaxed[k]
+
+    def pending_work(self, u):
+        """Work in J of the viscous stress since its last update."""
+        return 0.0 if self.history is None else self._pair(self._deformation(u)[0]) - self.pairing
+
+    def _pair(self, H):
+        """Integral of -V : E over the cells, in J, with the strain E = (H + H^T + H^T H) / 2."""
         total = 0.0
         for i, j in _VOIGT:
-            strain = np.einsum("cqe,cqe->qe", F[:, i], F[:, j]) - (i == j)
-            part = self.M[i, j] - self.force.material.mu * (i == j)
-            total += (0.5 if i == j else 1.0) * np.sum(strain * part * self.volume, dtype=float)
-        return total
+            strain = np.einsum("cqe,cqe->qe", H[:, i], H[:, j]) + H[i, j] + H[j, i]
+            total -= (0.5 if i == j else 1.0) * np.sum(strain * self.V[i, j] * self.volume, dtype=float)
+        return self.force.material.mu * total
 
     def energies(self, u):
-        material = self.force.material
-        X, _, J, _ = self._deformation(u, False)
-        trace = np.einsum("cjqe,cjqe->qe", X[:3], X[:3])
+        H, _, trace, j, _ = self._deformation(u)
         with np.errstate(all="ignore"):
-            W = material.mu / 2 * (trace - 3 - 2 * np.log(J))
+            W = (j - np.log1p(j)) - (j - trace) + np.einsum("cjqe,cjqe->qe", H, H) / 2  # (I1 - 3)/2 - ln J
         if self.mean_dilatation:
-            mean = (self.volume * J).sum(axis=0) / self.cell_volume
-            bulk = np.sum(material.K / 2 * (mean - 1) ** 2 * self.cell_volume)
+            mean = (self.volume * j).sum(axis=0) / self.cell_volume
+            bulk = np.sum(self.bulk / 2 * mean**2 * self.cell_volume)
         else:
-            bulk = np.sum(material.K / 2 * np.square(J - 1) * self.volume)
-        return float(np.sum(W * self.volume) + bulk), self._hourglass_energy()
+            bulk = np.sum(self.bulk / 2 * np.square(j) * self.volume)
+        return float(self.force.material.mu * (np.sum(W * self.volume) + bulk)), self._hourglass_energy()
 
     def dilatation(self, u):
-        _, _, J, _ = self._deformation(u, False)
+        *_, J = self._deformation(u)
         return (self.volume * J).sum(axis=0) / self.cell_volume
 
     def _hourglass_energy(self):
@@ -282,9 +313,11 @@ _VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 class _ReducedCells(_FullCells):
-    """One point a cell with the mean gradient, and elastic hourglass control (Flanagan and Belytschko 1981).
+    """One point a cell with the mean gradient, and hourglass control (Flanagan and Belytschko 1981).
 
-    The hourglass force k gamma (gamma . u) is exact under rotation: gamma is orthogonal to every linear field.
+    The hourglass force k gamma (gamma . u) is exact under rotation: gamma is orthogonal to every linear field. k is a
+    share of mu, since one in proportion to K + 2 mu locks as nu goes to 0.5, and with Prony terms it relaxes as the
+    cell's stress does: left elastic, it carries the load of a long hold.
     """
 
     rule, weight = element.CENTRE, 8.0
@@ -304,30 +337,33 @@ class _ReducedCells(_FullCells):
             self.volume = self.cell_volume[None]
             self.to_physical = None
             self.gradient = np.ascontiguousarray(mean, dtype)  # (3, 8, E)
-            self.divergence = np.ascontiguousarray(mean * self.cell_volume, dtype)
+            self.divergence = np.ascontiguousarray(force.material.mu * mean * self.cell_volume, dtype)
             offset = np.einsum("ha,eaj->hje", element.HOURGLASS, corners)
             self.gamma = np.ascontiguousarray(element.HOURGLASS[:, :, None] - np.einsum("hje,jae->hae", offset, mean), dtype)
-        # Flanagan-Belytschko: the largest frequency of a cell's hourglass motion in proportion to its dilatational one
-        stiffness = hourglass_stiffness * force.material.p_modulus * self.cell_volume * np.square(mean).sum(axis=(0, 1)) / 8
+        # as Flanagan and Belytschko, but with mu for K + 2 mu
+        stiffness = hourglass_stiffness * force.material.mu * self.cell_volume * np.square(mean).sum(axis=(0, 1)) / 8
         self.stiffness = stiffness.astype(dtype)  # (E,) N/m
+        self.share = 1.0  # (E,) of the stiffness that relaxation has left
         self.congruent = mesh.congruent
         if mesh.congruent:
             rows = np.vstack([self.gradient.astype(float), element.HOURGLASS])
             columns = np.vstack([self.divergence.T.astype(float), element.HOURGLASS * self.stiffness[0]])
             self.rows, self.columns = rows.astype(dtype), np.ascontiguousarray(columns.T, dtype)  # (7, 8), (8, 7)
 
-    def _gradient(self, u, F):
+    def _gradient(self, u, H):
         U, Q = self.force.scratch("U", (3, 8, self.n)), self.force.scratch("Q", (3, 7, self.n))
         u.take(self.index, axis=1, out=U, mode="clip")
         if self.congruent:
             np.matmul(self.rows, U, out=Q)
-            F[:, :, 0] = Q[:, :3]
+            H[:, :, 0] = Q[:, :3]
         else:
-            np.einsum("jae,cae->cje", self.gradient, U, out=F[:, :, 0])
+            np.einsum("jae,cae->cje", self.gradient, U, out=H[:, :, 0])
             np.einsum("hae,cae->che", self.gamma, U, out=Q[:, 3:])
 
     def _to_nodes(self, P, out):
         Q = self.force.scratch("Q", (3, 7, self.n))
+        if self.history is not None:
+            Q[:, 3:] *= self.share
         if self.congruent:
             Q[:, :3] = P[:, :, 0]
             np.matmul(self.columns, Q, out=out)
@@ -336,6 +372,15 @@ class _ReducedCells(_FullCells):
             Q[:, 3:] *= self.stiffness
             out += np.einsum("hae,che->cae", self.gamma, Q[:, 3:])
 
-    def _hourglass_energy(self):
+    def _hold(self, stress, relaxed):
+        super()._hold(stress, relaxed)
+        elastic, least = np.linalg.norm(stress, axis=(0, 1)), 1 - sum(g for g, _ in self.force.material.prony)
+        left = np.linalg.norm(stress - relaxed, axis=(0, 1))
+        self.share = np.clip(np.divide(left, elastic, out=np.ones_like(left), where=elastic > 0), least, 1).astype(self.force.dtype)
+
+    def _pair(self, H):
+        return super()._pair(H) + self._hourglass_energy(self.share - 1)
+
+    def _hourglass_energy(self, share=1):
         Q = self.force.scratch("Q", (3, 7, self.n))
-        return float(np.sum(np.square(Q[:, 3:]).sum(axis=(0, 1)) * self.stiffness, dtype=float) / 2)
+        return float(np.sum(np.square(Q[:, 3:]).sum(axis=(0, 1)) * self.stiffness * share, dtype=float) / 2)

@@ -9,19 +9,30 @@ from fem import element
 from fem.errors import InputError, SolverStopped
 from fem.kernel import InternalForce
 
-BLOCK = 16  # steps between load samples and guards
+BLOCK = 16  # most steps between load samples and guards
 STRIDE = 64  # most steps between updates of the viscous stress
+LOCKING_NU = 0.45  # above it the full element is more than 8 % too stiff under a footprint of 4 cells' radius, see docs/stability.md
 SMALLEST_J = 0.05  # below it a cell has lost its meaning, and p = K (J - 1) - mu / J runs away
 STANDSTILL = 0.004  # share of the shortest relaxation time for which the viscous stress may stand still
-RAMP_STEPS = 160  # over which `equilibrium` raises the load
+RAMPS = (160, 640, 2560)  # steps over which `equilibrium` raises the load; the longer where the shorter crushes a cell
+FASTEST_CRUSH = 0.1  # share of the smallest J that one step may take away
+FIRST_STEP = 0.05  # share of the thinnest cell by which a sudden load may move a node in its first step
+LOAD_BEND = 0.005  # share of the largest load so far by which its ramp between two samples may miss it
+MOST_STEPS = 1e8  # of one call of `advance`: hours on any mesh
 NEGLIGIBLE = 1e-30  # m and m/s: subnormal numbers would slow a step sixteen-fold
 
 
 def lumped_mass(mesh, density):
-    """Row-sum lumped nodal mass (N,) in kg."""
+    """Row-sum lumped nodal mass (N,) in kg; density in kg/m3 is one number or one a cell (E,)."""
     detJ = np.linalg.det(element.jacobians(mesh.points, mesh.cells, element.GAUSS))  # (E, Q)
     shape = np.prod(1 + element.GAUSS[:, None] * element.CORNERS, axis=2) / 8  # (Q, 8)
-    return np.bincount(mesh.cells.ravel(), (density * detJ @ shape).ravel(), mesh.n_nodes)
+    return np.bincount(mesh.cells.ravel(), (np.reshape(density, (-1, 1)) * detJ @ shape).ravel(), mesh.n_nodes)
+
+
+def thickness(mesh):
+    """Smallest distance (E,) in m between opposite faces of each cell."""
+    inverse = np.linalg.inv(element.jacobians(mesh.points, mesh.cells, element.CENTRE)[:, 0])  # (E, 3, 3) dxi_r/dX_i in columns
+    return 2 / np.linalg.norm(inverse, axis=1).max(axis=1)
 
 
 def critical_time_step(force, mass, fixed, u=None, tolerance=1e-3):
@@ -36,14 +47,17 @@ def critical_time_step(force, mass, fixed, u=None, tolerance=1e-3):
     if not free.size:
         raise InputError("every node of the mesh is fixed: nothing can move; free a surface")
     root = 1 / np.sqrt(np.tile(mass, 3)[free])
-    scale = 1e-6 * np.ptp(force.mesh.points[force.mesh.cells[0]], axis=0).min()
+    scale = 1e-6 * thickness(force.mesh).min()
     v = np.zeros(u.size)
 
     def matvec(x):
         v[free] = root * x.ravel()
         size = scale / max(np.abs(v).max(), 1e-300)
         step = (size * v).reshape(u.shape)
-        return (force(u + step) - force(u - step)).ravel()[free] * root / (2 * size)
+        product = (force(u + step) - force(u - step)).ravel()[free] * root / (2 * size)
+        if not np.isfinite(product).all():
+            raise SolverStopped("no stable step", "the stiffness is no longer finite, the state is beyond saving; lower the load")
+        return product
 
     start = np.random.default_rng(0).normal(size=free.size)
     with np.errstate(all="ignore"):
@@ -65,25 +79,30 @@ class Solver:
 
     mesh, material, element, precision, hourglass_stiffness: see fem.kernel.InternalForce
     damping: mass-proportional damping rate alpha, 1/s: force -alpha m v
-    mass_scaling: factor on the density, for slow scenes; the stable step grows with its root
+    mass_scaling: factor on the density, one or one a cell (E,), for slow scenes; the stable step grows with its root
     safety: share of the critical time step that is used
 
-    The step is estimated again whenever the tissue has stiffened. A run that cannot go on raises SolverStopped, whose
-    `reason` is "diverged", "crushed cell" or "no stable step".
+    The step is estimated again whenever the tissue has stiffened, and is shortened while cells are compressed fast. A run
+    that cannot go on raises SolverStopped, whose `reason` is "diverged", "crushed cell", "inverted cell",
+    "no stable step", "step too large" or "too many steps".
     """
 
-    def __init__(self, mesh, material, element="full", precision="float64", hourglass_stiffness=0.05, damping=0.0,
+    def __init__(self, mesh, material, element="full", precision="float64", hourglass_stiffness=0.2, damping=0.0,
                  mass_scaling=1.0, safety=0.85):
         for name, value, low in (("damping", damping, 0), ("hourglass_stiffness", hourglass_stiffness, 0)):
             if not low <= value < np.inf:
                 raise InputError(f"solver.{name} = {value} must not be negative")
-        if not 1 <= mass_scaling < np.inf:
-            raise InputError(f"solver.mass_scaling = {mass_scaling} must be at least 1 (1 is the true mass)")
+        if np.shape(mass_scaling) not in ((), (mesh.n_cells,)):
+            raise InputError(f"solver.mass_scaling has shape {np.shape(mass_scaling)}; give one factor, or one for each of the {mesh.n_cells} cells")
+        if not (np.min(mass_scaling) >= 1 and np.max(mass_scaling) < np.inf):
+            raise InputError(f"solver.mass_scaling = {np.min(mass_scaling)} must be at least 1 (1 is the true mass)")
         if not 0 < safety:
             raise InputError(f"solver.safety = {safety} must be positive; 0.85 is usual")
+        if element == "full" and material.nu > LOCKING_NU:
+            raise InputError(f"solver.element = 'full' locks at material.nu = {material.nu} (above {LOCKING_NU}); use element = 'mean_dilatation' or 'reduced'")
         self.mesh, self.material, self.damping, self.safety = mesh, material, float(damping), float(safety)
         self.force = InternalForce(mesh, material, element, precision, hourglass_stiffness)
-        self.mass = lumped_mass(mesh, material.density * mass_scaling)
+        self.mass = lumped_mass(mesh, material.density * np.asarray(mass_scaling, float))
         elastic = type(material)(material.mu, material.nu, material.density)
         needs_own = precision != "float64" or material.prony
         self.tangent = InternalForce(mesh, elastic, element, "float64", hourglass_stiffness) if needs_own else self.force
@@ -94,13 +113,21 @@ class Solver:
         self.internal = np.zeros_like(self.u)
         self._drift = np.zeros_like(self.u)
         self.time, self.steps, self.dt = 0.0, 0, 0.0
-        self.block_start = self.viscous_current = True
+        self.last_step, self.viscous_current = False, True
+        self._thinnest, self._cap, self._last_J = thickness(mesh), np.inf, 1.0
+        self._load_size, self._load_rate, self._load_steps = 0.0, 0.0, BLOCK
         self._shortest_relaxation = min((tau for _, tau in material.prony), default=None)
         self._until_relaxation, self._relaxed_at = 0, 0.0
         self.estimate_step()
 
     def estimate_step(self):
-        """Set `critical_step` from the present state."""
+        """Set `critical_step` from the present state. Raises SolverStopped("inverted cell") if a corner is turned inside out."""
+        corners = element.corner_jacobians((self.mesh.points.T + self.u)[:, self.mesh.cells.T])  # (8, E)
+        if not corners.min() > 0:
+            raise SolverStopped(
+                "inverted cell",
+                f"cell {corners.min(axis=0).argmin()} is turned inside out at a corner at {self.time:.4g} s; lower the force or widen its footprint",
+            )
         self.critical_step = critical_time_step(self.tangent, self.mass, self.mesh.fixed, self.u)
         self.tangent(self.u, check=True)
         self._state_at_estimate = self.tangent.min_J, self.tangent.stiffening
@@ -111,9 +138,12 @@ class Solver:
         return self.safety * self.critical_step
 
     def advance(self, duration, load, observers=(), steps=None):
-        """Integrate `duration` seconds; `load(t)` gives the nodal force (3, N) in N and is sampled every 16 steps.
+        """Integrate `duration` seconds under the nodal force `load(t)` (3, N) in N.
 
-        steps: take exactly this many, for a fixed latency (the caller then answers for duration / steps being stable);
+        The load is sampled every 16 steps, more often where it bends, and runs linearly between: what starts and ends
+        between two samples is not seen.
+
+        steps: take exactly this many, for a fixed latency, and stop where duration / steps exceeds the critical step;
         otherwise as many as the stable step asks for, and more when the tissue stiffens on the way.
         observers: each is called as observer(solver) in every step, when u, the force and load at `time` and the
         velocities half a step before (v_old) and after (v) are known.
@@ -121,24 +151,59 @@ class Solver:
         end = self.time + duration
         remaining = steps
         load_now = np.asarray(load(self.time), float)
+        self._expect_jump(load_now)
         while remaining is None and end - self.time > 1e-9 * duration or remaining:
-            left = remaining or max(1, int(np.ceil((end - self.time) / self.max_step * (1 - 1e-12))))
+            left = remaining or self._steps_to(end)
             dt = (end - self.time) / left
-            count = min(BLOCK, left)
-            load_next = np.asarray(load(self.time + count * dt), float)
+            if dt > self.critical_step:
+                raise SolverStopped(
+                    "step too large",
+                    f"the time step {dt:.3g} s exceeds the critical {self.critical_step:.3g} s; take more steps, lower solver.safety or raise mass_scaling",
+                )
+            count, load_next = self._sample(load, load_now, dt, min(BLOCK, left, 2 * self._load_steps))
             with np.errstate(all="ignore"):  # an overflow is found, and named, by the guard
-                self._block(dt, count, load_now, load_next, observers)
-            load_now = load_next
-            remaining = None if remaining is None else remaining - count
+                done = self._block(dt, count, left, load_now, load_next, observers)
+            load_now = load_next if done == count else self.load.copy()
+            remaining = None if remaining is None else remaining - done
             self._guard()
         self.time = end
 
-    def _block(self, dt, count, load_now, load_next, observers):
+    def _steps_to(self, end):
+        self._cap = min(2 * self._cap, self.max_step)  # what a fast motion has shortened grows again
+        dt = min(self.max_step, self._cap)
+        if not (end - self.time) / dt < MOST_STEPS:
+            if dt < self.max_step:
+                raise SolverStopped("no stable step", f"only steps of {dt:.2g} s would follow the motion at {self.time:.4g} s; lower the load")
+            raise SolverStopped(
+                "too many steps",
+                f"{(end - self.time) / dt:.2g} steps of {dt:.2g} s are left; repair cell {self._thinnest.argmin()}, the thinnest, or raise mass_scaling",
+            )
+        return max(1, int(np.ceil((end - self.time) / dt * (1 - 1e-12))))
+
+    def _sample(self, load, load_now, dt, count):
+        """(steps, load at their end): up to `count`, fewer where the load bends away from its ramp so far."""
+        while True:
+            load_next = np.asarray(load(self.time + count * dt), float)
+            self._load_size = max(self._load_size, np.abs(load_next).max())
+            bend = np.abs(load_next - load_now - count * dt * self._load_rate).max() / 8  # of a parabola from its chord
+            if count == 1 or not bend > LOAD_BEND * self._load_size:  # a NaN is left to the guard
+                self._load_rate, self._load_steps = (load_next - load_now) / (count * dt), count
+                return count, load_next
+            count //= 2
+
+    def _expect_jump(self, load):
+        """Under a sudden load, start with a step in which no node moves farther than a small part of a cell."""
+        acceleration = np.abs((load - self.load) * self._inverse_mass).max()  # a NaN is left to the guard
+        if acceleration > 0:
+            self._cap = min(self._cap, 0.5 * np.sqrt(2 * FIRST_STEP * self._thinnest.min() / acceleration))
+
+    def _block(self, dt, count, left, load_now, load_next, observers):
+        """Up to `count` of the `left` steps, fewer if a cell is compressed fast: the number taken."""
         np.copyto(self.load, load_now)
         slope = (load_next - load_now) / count
         ramp = slope.any()
         for i in range(count):
-            self.block_start = i == 0
+            self.last_step = i + 1 == left
             self.viscous_current = self._until_relaxation == 0
             if self.viscous_current and self._shortest_relaxation:
                 self._until_relaxation = self._viscous_stride(dt)
@@ -154,6 +219,18 @@ class Solver:
             self._until_relaxation = max(0, self._until_relaxation - 1)
             if ramp:
                 self.load += slope
+            if self._pressed(dt):
+                return i + 1
+        return count
+
+    def _pressed(self, dt):
+        """Whether the guard must look now: a cell is crushed, near it, or on its way by the next step."""
+        J, loss = self.force.min_J, self._last_J - self.force.min_J
+        self._last_J = J
+        if loss > FASTEST_CRUSH * J:
+            self._cap = 0.5 * dt * FASTEST_CRUSH * max(J, SMALLEST_J) / loss
+            return True
+        return not J >= 0.9 * self._state_at_estimate[0]
 
     def _viscous_stride(self, dt):
         """Steps for which the viscous stress may stand still: a small part of the shortest relaxation time."""
@@ -190,9 +267,8 @@ class Solver:
         J, stiffening = self._state_at_estimate
         # measured on loaded tissue: the critical step changes by at most 4 % between two estimates made so, far inside
         # the usual margin of 15 %; the last condition gives the longer step back after a release
-        if force.min_J < 0.9 * J or force.stiffening > 1.05 * stiffening or force.min_J > 1.25 * J:
+        if force.min_J < 0.9 * J or force.stiffening > 1.05 * stiffening or force.min_J > 1.11 * J:
             self.estimate_step()
-
 
 
 class Equilibrium(NamedTuple):
@@ -207,8 +283,9 @@ def equilibrium(mesh, material, load, residual=1e-6, element="full", max_steps=5
     """The state of rest under dead nodal loads (N, 3) in N, by dynamic relaxation: an Equilibrium.
 
     With Prony terms it is the fully relaxed state, in which the stress is g0 times the elastic one; give the material
-    without them for the instantaneous answer. The load climbs over the first steps, and the damping follows the
-    lowest frequency that the motion shows (Underwood 1983), so that this mode is damped critically.
+    without them for the instantaneous answer. The load climbs over the first steps, more slowly if that crushes a cell on
+    the way, and the damping follows the lowest frequency that the motion shows (Underwood 1983), so that this mode is
+    damped critically.
 
     Raises InputError for a load of the wrong shape or not finite, SolverStopped("not at rest") when `residual` is
     not reached in `max_steps`, and whatever Solver.advance raises.
@@ -217,17 +294,27 @@ def equilibrium(mesh, material, load, residual=1e-6, element="full", max_steps=5
     if load.shape != mesh.points.shape or not np.isfinite(load).all():
         raise InputError(f"the load must be finite and of shape {mesh.points.shape}, one force a node; got shape {load.shape}")
     load = np.where(mesh.fixed[:, None], 0.0, load).T
-    size = np.linalg.norm(load)
-    if not size:
+    if not load.any():
         return Equilibrium(np.zeros(mesh.points.shape), 0.0, 0)
     share = 1 - sum(g for g, _ in material.prony)
-    solver = Solver(mesh, type(material)(material.mu * share, material.nu, material.density), element)
+    elastic = type(material)(material.mu * share, material.nu, material.density)
+    heavier = np.square(thickness(mesh).max() / thickness(mesh))  # rest does not depend on mass: give all cells one stable step
+    for ramp in RAMPS:
+        try:
+            return _relax(Solver(mesh, elastic, element, mass_scaling=heavier), load, residual, ramp, max_steps)
+        except SolverStopped as stop:
+            if stop.reason == "not at rest" or ramp == RAMPS[-1]:
+                raise
+
+
+def _relax(solver, load, residual, ramp, max_steps):
+    """The Equilibrium of `solver` under `load` (3, N), which climbs over `ramp` steps."""
     solver.damping = 0.1 / solver.max_step
-    free = ~mesh.fixed
+    free, size = ~solver.mesh.fixed, np.linalg.norm(load)
     old_u, old_internal = solver.u.copy(), solver.internal.copy()
     while solver.steps < max_steps:
-        factor = min(1.0, (solver.steps + BLOCK) / RAMP_STEPS)
-        solver.advance(BLOCK * solver.max_step, lambda t: factor * load, steps=BLOCK)
+        factor = min(1.0, (solver.steps + BLOCK) / ramp)
+        solver.advance(BLOCK * solver.max_step, lambda t: factor * load)
         internal = solver.force(solver.u)
         du, df = solver.u - old_u, internal - old_internal
         old_u[:], old_internal[:] = solver.u, internal

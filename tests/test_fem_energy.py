@@ -23,7 +23,7 @@ def push(mesh=MESH, peak=2e-3):
     """A smooth push (3, N) with a shear component, and its history over 0.2 s: up, and half back."""
     share = Surface(mesh).footprint(np.array([2.3, 2.6, 3.0]) * EDGE, 2e-3)
     field = peak * np.array([[0.3], [0.1], [-1.0]]) * share
-    return lambda t: field * (np.sin(np.pi * t / 0.25) ** 2 if t < 0.2 else 0.0)
+    return lambda t: field * (np.sin(np.pi * t / 0.25) ** 2 if t < 0.201 else 0.0)
 
 
 def run(material=ELASTIC, mesh=MESH, duration=0.2, **choices):
@@ -113,11 +113,11 @@ def test_invented_energy_stops_the_run():
 
 
 def test_step_past_the_limit_never_passes_for_a_result():
-    """With safety above 1 a run stops: the ledger or the guard sees it."""
+    """With safety above 1 a run stops before its first step."""
     solver, ledger = Solver(MESH, ELASTIC, safety=1.01), EnergyLedger()
     with pytest.raises(SolverStopped) as stop:
         solver.advance(5.0, push(), [ledger])
-    assert stop.value.reason in ("energy imbalance", "diverged", "crushed cell", "no stable step")
+    assert stop.value.reason == "step too large"
 
 
 def test_a_nan_is_out_of_balance():
