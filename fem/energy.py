@@ -1,11 +1,14 @@
 """The energy balance of a run, kept by an observer of the time loop."""
 
+import warnings
+
 import numpy as np
 
 from fem.errors import SolverStopped
 
 COLUMNS = ("time", "kinetic", "strain", "hourglass", "viscous", "damping", "external", "imbalance")
 CHECK_EVERY = 128  # steps between balances
+HOURGLASS_SHARE = 0.05  # of strain energy, beyond which the ledger warns, once
 LIMIT = 0.10  # imbalance at which a run stops
 
 
@@ -15,7 +18,8 @@ class EnergyLedger:
     viscous is the work of the viscous stresses: minus the elastic energy that relaxation has spared so far.
     imbalance is relative to the largest of external work and stored energy so far (at least 1e-6 mu V, the energy of a
     strain of about 0.1 %, so that the first faint touch does not count). `rows` holds one balance about
-    every 128 steps, in the order of COLUMNS. Raises SolverStopped("energy imbalance") beyond 10 %, there or in the last step
+    every 128 steps, in the order of COLUMNS. Warns once when hourglass energy exceeds
+    5 % of strain energy. Raises SolverStopped("energy imbalance") beyond 10 %, there or in the last step
     of an `advance`.
     """
 
@@ -23,7 +27,7 @@ class EnergyLedger:
         self.rows, self.scale, self.smallest_J = [], 0.0, 1.0
         self.external = self.damping = 0.0
         self._ahead = self._loss = self._dt = 0.0
-        self._next = 0
+        self._next, self._warned = 0, False
 
     def __call__(self, solver):
         # velocity at `time`, second-order; the first kick is half a step long, and v_old is then that velocity itself
@@ -54,10 +58,18 @@ class EnergyLedger:
 
     def _balance(self, solver):
         row = self.balance(solver)
-        _, kinetic, strain, *_ = row
+        _, kinetic, strain, hourglass, *_ = row
         self.scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
         self.rows.append(row)
         self._judge(row)
+        if hourglass > HOURGLASS_SHARE * strain and hourglass > 0.01 * self.scale and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"hourglass energy is {100 * hourglass / strain:.0f} % of strain energy at {solver.time:.4g} s (5 % is usual): "
+                "the reduced element bends too coarsely here; refine the mesh or take element = 'full' or 'mean_dilatation'",
+                RuntimeWarning,
+                stacklevel=2,
+            )
 
     def _judge(self, row):
         time, *_, imbalance = row

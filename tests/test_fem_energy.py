@@ -1,6 +1,7 @@
 """The energy ledger: it balances for every kind of run, counts work exactly, and stops a run that invents energy."""
 
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
@@ -140,3 +141,13 @@ def test_ledger_only_watches():
     assert np.array_equal(solver.u, alone.u) and np.array_equal(solver.v, alone.v)
     assert solver.steps // 192 <= len(ledger.rows) <= 1 + solver.steps // 128
     assert kinetic_energy(solver.mass, solver.v) == pytest.approx(0.5 * np.sum(solver.mass * solver.v**2), rel=1e-12)
+
+
+def test_bending_on_a_coarse_reduced_mesh_is_warned_of_once_and_a_full_one_is_not():
+    """A narrow push on 5 x 5 x 3 reduced cells puts over 5 % of the strain energy into hourglass motion."""
+    with pytest.warns(RuntimeWarning, match="hourglass energy is .* refine the mesh") as said:
+        run(element="reduced", damping=30.0)
+    assert len([warning for warning in said if "hourglass" in str(warning.message)]) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(element="full", damping=30.0)
