@@ -146,6 +146,11 @@ class Dataset:
         points = self.points.reshape(-1, 3)[index].astype(float)
         return HexMesh(points, place[self.cells], self.fixed.ravel()[index], self.grid, index)
 
+    @cached_property
+    def surface(self):
+        """(points (nx*ny*nz, 3) mm, faces (M, 4)): grid nodes and the boundary quads between them, outward."""
+        return self.points.reshape(-1, 3), self.mesh.grid_index[self.mesh.boundary_faces]
+
     def read(self, split):
         """{force mN, displacement mm (interactions, frames, nx, ny, nz, 3), volume mm3 (interactions, frames), hard, number}."""
         if split not in SPLITS:

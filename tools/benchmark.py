@@ -21,7 +21,6 @@ from tqdm import tqdm
 
 from fem.dataset import versions
 from fem.errors import InputError, command_line
-from fem.material import Material
 from fem.solver import Solver
 from fem.timing import alternate, paired_ratio, processor, quantiles
 
@@ -99,18 +98,17 @@ def fem_actions(dataset):
     """One frame of 10 ms of the same tissue, warm-started, by explicit steps at fixed latency."""
     scene = dataset.scene
     mesh = scene.mesh.build()
-    tissue = Material(scene.material.mu, scene.material.nu, scene.material.density, scene.material.prony)
     load = np.zeros((3, mesh.n_nodes))
     top = np.unique(mesh.free_faces)
     load[2, top] = -1e-3 / len(top)
     actions = {}
     for kind in ("full", "reduced"):
-        solver = Solver(mesh, tissue, kind, "float32", damping=50.0)
+        solver = Solver(mesh, scene.material, kind, "float32", damping=50.0)
         actions[f"FEM, {kind} float32, {STEPS} steps"] = lambda s=solver: s.advance(FRAME, lambda t: load, steps=STEPS)
     return actions
 
 
-def peak_memory(path, dataset):
+def peak_memory(path):
     """Peak resident memory in MB of a process that loads the surrogate at `path` and steps it, TensorFlow left out."""
     code = (
         "import sys, numpy as np; from unet_fem.runtime import Surrogate; s = Surrogate(sys.argv[1]);"
@@ -164,7 +162,7 @@ def benchmark(folders, rounds, soak_steps):
         if place:
             latency[name]["MB"] = place.stat().st_size / 1e6
             if place.suffix == ".tflite" and "1 thread" in name:
-                latency[name]["memory_MB"] = peak_memory(place, runs[0][1])
+                latency[name]["memory_MB"] = peak_memory(place)
     result = {"machine": machine(rounds), "latency_ms": latency}
     if soak_steps:
         with warnings.catch_warnings():

@@ -37,7 +37,7 @@ def thinner(settings, sparsity, multiple):
 
 def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
     """Prune and fine-tune into a run folder of its own, unless that is done already. Returns its settings."""
-    from unet_fem import checkpoint, data, losses, prune, train
+    from unet_fem import checkpoint, data, prune, train
 
     model = checkpoint.load_model(settings.folder / "best.keras")
     choice = settings.model
@@ -59,10 +59,9 @@ def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
         train.compile_model(thin, small, dataset, -(-len(samples["train"]) // tuning.batch_size))
         train.fit(thin, small, samples["train"], samples["validation"])
     else:
-        points, faces = dataset.points.reshape(-1, 3), dataset.mesh.grid_index[dataset.mesh.boundary_faces]
-        loss = losses.volume_loss(points, faces, weight=settings.loss.volume_weight, threshold=settings.loss.volume_threshold)
+        targets = train.targets(samples["train"], settings)
         prune.magnitude_prune(
-            model, sparsity, samples["train"].force, samples["train"].displacement, loss,
+            model, sparsity, samples["train"].force, targets, train.build_loss(settings, dataset),
             epochs=epochs, batch_size=tuning.batch_size, learning_rate=learning_rate,
         )  # fmt: skip
         checkpoint.save_model(model, done)

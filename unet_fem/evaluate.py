@@ -63,9 +63,7 @@ def predict(model, samples, dataset):
     prediction = np.concatenate([np.asarray(model(samples.force[i : i + 32])) for i in range(0, len(samples), 32)])
     if not np.isfinite(prediction).all():
         raise InputError("the model's prediction is not finite; its training has diverged: lower train.learning_rate")
-    mesh = dataset.mesh
-    faces = mesh.grid_index[mesh.boundary_faces]
-    return prediction, np.asarray(deformed_volume(prediction, dataset.points.reshape(-1, 3), faces), float)
+    return prediction, np.asarray(deformed_volume(prediction, *dataset.surface), float)
 
 
 def evaluate(settings, dataset):

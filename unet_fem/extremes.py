@@ -73,7 +73,7 @@ def judge_extremes(models, dataset, steps):
     from unet_fem.losses import deformed_volume
 
     mesh = dataset.fem_mesh
-    rest, faces = dataset.mesh.volume(), dataset.mesh.grid_index[dataset.mesh.boundary_faces]
+    rest = dataset.mesh.volume()
     result = {}
     for case, load in extreme_loads(mesh, dataset.scene.contact).items():
         try:
@@ -85,7 +85,7 @@ def judge_extremes(models, dataset, steps):
         result[case] = {"FEM": {"largest_mm": _largest(truth), "volume_violation_max": float(np.abs(volume / volume[0] - 1).max())}}
         for name, model in models.items():
             prediction = np.asarray(model(windows(force[None], steps)))
-            moved = np.asarray(deformed_volume(prediction, dataset.points.reshape(-1, 3), faces), float)
+            moved = np.asarray(deformed_volume(prediction, *dataset.surface), float)
             result[case][name] = {
                 "relative_l2": float(np.linalg.norm(prediction - truth) / size) if size > 0 else None,
                 "worst_mm": _largest(prediction - truth),

@@ -111,10 +111,11 @@ def _quantize_float_weights(data):
 
 def surrogate_facts(dataset):
     """What a surrogate's file says beside its graph, from a fem.dataset.Dataset: see unet_fem.runtime.write_surrogate."""
+    points, faces = dataset.surface
     return {
         "mask": dataset.free,
-        "points": dataset.points.reshape(-1, 3),
-        "faces": dataset.mesh.grid_index[dataset.mesh.boundary_faces],
+        "points": points,
+        "faces": faces,
         "interval": dataset.scene.frames.interval,
         "largest_force": force_size(dataset.read("train")["force"]),
     }

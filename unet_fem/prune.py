@@ -4,7 +4,6 @@
 switches its process to them, so keep it in a process of its own (tools/prune.py). `thin` removes whole filters.
 """
 
-import contextlib
 import types
 
 import numpy as np
@@ -29,12 +28,11 @@ def magnitude_prune(model, sparsity, inputs, targets, loss, *, epochs, batch_siz
             return tfmot.sparsity.keras.prune_low_magnitude(layer, pruning_schedule=schedule)
         return layer
 
-    twin = tf_keras.models.clone_model(legacy_twin(model), clone_function=wrap)
+    legacy = legacy_twin(model)
+    twin = tf_keras.models.clone_model(legacy, clone_function=wrap)
     rate = tf_keras.optimizers.schedules.CosineDecay(learning_rate, steps)
     twin.compile(tf_keras.optimizers.Adam(rate, epsilon=1e-12), loss)
-    # clone_model copies the architecture alone
-    legacy = legacy_twin(model)
-    tfmot.sparsity.keras.strip_pruning(twin).set_weights(legacy.get_weights())
+    tfmot.sparsity.keras.strip_pruning(twin).set_weights(legacy.get_weights())  # clone_model copies the architecture alone
     twin.fit(inputs, targets, batch_size=batch_size, epochs=epochs, verbose=2, callbacks=[tfmot.sparsity.keras.UpdatePruningStep()])
     model.set_weights(tfmot.sparsity.keras.strip_pruning(twin).get_weights())
 
@@ -45,10 +43,11 @@ def legacy_twin(model):
     import tf_keras
 
     saved = models.keras, models.layers, models.ops
-    with contextlib.ExitStack() as restore:
-        restore.callback(lambda: setattr(models, "keras", saved[0]) or setattr(models, "layers", saved[1]) or setattr(models, "ops", saved[2]))
+    try:
         models.keras, models.layers, models.ops = tf_keras, tf_keras.layers, types.SimpleNamespace(reshape=tensorflow.reshape)
         twin = rebuild(model)
+    finally:
+        models.keras, models.layers, models.ops = saved
     twin.set_weights(model.get_weights())
     return twin
 

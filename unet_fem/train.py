@@ -49,24 +49,31 @@ def build_model(settings, dataset, force_scale, displacement_scale):
     return models.cnn_lstm(dataset.grid, choice.units, choice.steps, **scale)
 
 
+def build_loss(settings, dataset):
+    """The loss of `settings` for the mesh of `dataset`, see unet_fem.losses.volume_loss."""
+    from unet_fem import losses
+
+    choice = settings.loss
+    return losses.volume_loss(
+        *dataset.surface, weight=choice.volume_weight, threshold=choice.volume_threshold, direction_weight=choice.direction_weight
+    )
+
+
 def compile_model(model, settings, dataset, steps_per_epoch):
     """Adam, the loss and the metrics of `settings`; the learning rate is a function of the step, so a resumed run keeps it."""
     import keras
 
     from unet_fem import losses
 
-    choice, loss = settings.train, settings.loss
+    choice = settings.train
     rate = choice.learning_rate
     if choice.schedule == "cosine":
         rate = keras.optimizers.schedules.CosineDecay(rate, choice.epochs * steps_per_epoch)
-    points, faces = dataset.points.reshape(-1, 3), dataset.mesh.grid_index[dataset.mesh.boundary_faces]
     model.compile(
         # squared millimetres make gradients far below Keras's epsilon of 1e-7, which would turn Adam into slow descent
         keras.optimizers.Adam(rate, epsilon=1e-12),
-        losses.volume_loss(
-            points, faces, weight=loss.volume_weight, threshold=loss.volume_threshold, direction_weight=loss.direction_weight
-        ),
-        metrics=[losses.RelativeError(), losses.gate_open(points, faces, loss.volume_threshold)],
+        build_loss(settings, dataset),
+        metrics=[losses.RelativeError(), losses.gate_open(*dataset.surface, settings.loss.volume_threshold)],
     )
 
 
