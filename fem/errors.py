@@ -15,6 +15,9 @@ class SolverStopped(RuntimeError):
         super().__init__(message)
         self.reason = reason
 
+    def __reduce__(self):  # so that it crosses from a worker process to its parent
+        return type(self), (self.reason, *self.args)
+
 
 def command_line(main):
     """Decorate a `main()` so that bad input ends in one line and exit code 2, not in a traceback."""

@@ -42,7 +42,7 @@ def generate(scene, path, workers=None):
     # fresh processes: forking would inherit the state of the thread pools
     context = multiprocessing.get_context("spawn")
     bar = tqdm(total=len(order), initial=len(order) - len(todo), desc=f"simulating {path.name}", unit="interaction")
-    with bar, ProcessPoolExecutor(min(workers, max(1, len(todo))), context, _start_worker) as pool:
+    with bar, ProcessPoolExecutor(min(workers, max(1, len(todo))), context, start_worker) as pool:
         try:
             for done in as_completed([pool.submit(_run, task) for task in todo]):
                 done.result()
@@ -64,7 +64,7 @@ def _part(parts, split, number):
     return parts / f"{split}-{number:04d}.npz"
 
 
-def _start_worker():
+def start_worker():
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is answered by the parent alone
     threadpool_limits(1)  # one thread a process, and sums in one order whatever the number of cores
     # a parent that was killed leaves no orphans behind: they would compute on, or wait for ever

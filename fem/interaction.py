@@ -78,19 +78,37 @@ def unfit(scene, result):
     return None
 
 
+def drawn_contacts(scene, surface, split, number, attempt):
+    """The contacts of one draw: it depends on the scene's seed, the split, the number and the attempt, on nothing else."""
+    rng = np.random.default_rng([scene.interactions.seed, SPLITS.index(split), number, attempt])
+    factor = scene.interactions.hard_force if scene.interactions.is_hard(split, number) else None
+    return draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
+
+
+def contacts_of(scene, surface, split, number, force):
+    """The contacts of an interaction of a dataset, drawn again: the attempt is the one whose load gives the frames `force`.
+
+    surface: of the mesh that was simulated; force: (frames, N, 3) mN there, as in Dataset.sequence(split, number).force.
+    Raises InputError if no attempt gives them: the dataset is another scene's.
+    """
+    rounding = 1e-5 * max(np.abs(force).max(), 1e-300)
+    for attempt in range(MAX_ATTEMPTS):
+        contacts = drawn_contacts(scene, surface, split, number, attempt)
+        load = Load(surface, contacts)
+        if all(np.abs(load(t).T * 1e3 - frame).max() <= rounding for t, frame in zip(scene.frames.times, force, strict=True)):
+            return contacts
+    raise InputError(f"no draw of the scene gives the forces of {split} interaction {number}; generate the dataset again")
+
+
 def healthy_interaction(scene, mesh, split, number):
     """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with `rejected` {reason: count}.
 
-    The draw depends on the scene's seed, the split, the number and the attempt, on nothing else. Raises InputError
-    after 20 unfit draws.
+    Raises InputError after 20 unfit draws.
     """
     surface, rejected = Surface(mesh), Counter()
-    factor = scene.interactions.hard_force if scene.interactions.is_hard(split, number) else None
     for attempt in range(MAX_ATTEMPTS):
-        rng = np.random.default_rng([scene.interactions.seed, SPLITS.index(split), number, attempt])
-        contacts = draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
         try:
-            result = simulate(scene, mesh, contacts, surface)
+            result = simulate(scene, mesh, drawn_contacts(scene, surface, split, number, attempt), surface)
             reason = unfit(scene, result)
         except SolverStopped as stop:
             reason = stop.reason

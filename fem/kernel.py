@@ -66,6 +66,11 @@ class InternalForce:
         """
         self._relax = float(elapsed), float(ahead)
 
+    def forget(self):
+        """Drop the stress history: from here on the tissue relaxes as if it had been at rest until now."""
+        for chunk in self._chunks:
+            chunk._start_history()
+
     def __call__(self, u, out=None, check=False):
         """Internal force (3, N) at displacement u (3, N)."""
         u = u if u.dtype == self.dtype else u.astype(self.dtype)
