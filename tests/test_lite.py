@@ -1,10 +1,5 @@
 """The exported networks: that they are what Keras trained, in operators that a CPU runs fast."""
 
-import json
-import runpy
-import shutil
-from pathlib import Path
-
 import keras
 import numpy as np
 import pytest
@@ -15,7 +10,6 @@ from fem.errors import InputError
 from unet_fem import lite
 from unet_fem.models import cnn_lstm, float32_twin, linear_regression, unet
 
-QUANTIZE = Path(__file__).parents[1] / "tools" / "quantize.py"
 SMALL = (9, 9, 5)
 
 
@@ -146,24 +140,3 @@ def test_what_cannot_be_exported_is_named():
         lite.export(strided, "int4")
     with pytest.raises(InputError, match="calibrated on force windows"):
         lite.export(strided, "int8", np.zeros((4, 6, 6, 6, 2)))
-
-
-def test_quantize_writes_four_surrogates_and_their_errors(tiny_dataset, tmp_path, monkeypatch, capsys):
-    run_folder = tmp_path / "runs" / "tiny"
-    run_folder.mkdir(parents=True)
-    shutil.copy(tiny_dataset, tmp_path / "tiny.h5")
-    keras.utils.set_random_seed(0)
-    cnn_lstm((5, 5, 3), 4, 2, force_scale=0.05, displacement_scale=0.05).save(run_folder / "best.keras")
-    (run_folder / "config.toml").write_text(
-        'name = "tiny"\nscene = "tiny.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\nsteps = 2\n[train]\nepochs = 1\n'
-    )
-    monkeypatch.chdir(tmp_path)
-    # the tiny test pushes twice as hard as the tiny training
-    runpy.run_path(str(QUANTIZE))["main"](["runs/tiny", "--windows", "6", "--margin", "3", "--layers"])
-    figures = json.loads((run_folder / "lite" / "metrics.json").read_text())
-    assert {path.name for path in (run_folder / "lite").iterdir()} == {*(f"{v}.tflite" for v in lite.VARIANTS), "metrics.json"}
-    assert figures["float32"]["keras_worst"] < 1e-5
-    assert figures["int8"]["keras_relative_l2"] < 0.1
-    assert figures["int8"]["fem_relative_l2"] == pytest.approx(figures["keras"]["fem_relative_l2"], rel=0.05)
-    assert len(figures["int8"]["layers"]) >= 4
-    assert "against FEM" in capsys.readouterr().out

@@ -24,54 +24,63 @@ from fem.timing import alternate, paired_ratio
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 
-def thinner(settings, sparsity, multiple):
-    """The model settings with about a share `sparsity` of the parameters gone; `multiple` is the step of LSTM units."""
+def thinner(model, settings, sparsity):
+    """The model settings with about a share `sparsity` of the parameters of `model` gone."""
     choice = settings.model
-    if choice.kind == "unet":
+    if choice.kind == "unet":  # convolutions inside hold filters^2 weights
         return dataclasses.replace(choice, filters=max(1, round(choice.filters * math.sqrt(1 - sparsity))))
-    features = 2305  # of the pooled first convolution, and a bias: the LSTM has 8 N (features + N) weights
+    lstm = model.get_layer("bilstm").forward_layer
+    features = lstm.cell.kernel.shape[0] + 1  # and a bias: the LSTM has 8 N (features + N) weights
     goal = (1 - sparsity) * choice.units * (choice.units + features)
     units = (math.sqrt(features**2 + 4 * goal) - features) / 2
+    cells = math.prod(model.get_layer("block").target_shape[:-1])
+    multiple = cells // math.gcd(2, cells)  # both directions' units fill the block's cells
     return dataclasses.replace(choice, units=max(multiple, round(units / multiple) * multiple))
 
 
 def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
     """Prune and fine-tune into a run folder of its own, unless that is done already. Returns its settings."""
+    import keras
+
     from unet_fem import checkpoint, data, prune, train
 
     model = checkpoint.load_model(settings.folder / "best.keras")
-    choice = settings.model
-    if by_filters:
-        cells = 1 if choice.kind == "unet" else math.prod(model.get_layer("block").target_shape[:-1])
-        choice = thinner(settings, sparsity, cells // math.gcd(2, cells))
+    choice = thinner(model, settings, sparsity) if by_filters else settings.model
     name = f"{settings.name}_{'thin' if by_filters else 'pruned'}{100 * sparsity:.0f}"
-    tuning = dataclasses.replace(settings.train, epochs=epochs, learning_rate=learning_rate, precision="float32")
+    tuning = dataclasses.replace(settings.train, epochs=epochs, learning_rate=learning_rate, schedule="cosine")
     small = dataclasses.replace(settings, name=name, model=choice, train=tuning)
-    done = small.folder / "best.keras"
-    if (small.folder / "pruned").is_file():
+    train.prepare_folder(small, resume=(small.folder / "config.toml").is_file())
+    done = small.folder / "pruned"
+    if done.is_file():
+        if done.stat().st_mtime < (settings.folder / "best.keras").stat().st_mtime:
+            raise InputError(f"{small.folder} is of an older {settings.folder}; delete it to make it again")
         print(f"{small.folder} is done already; delete it to make it again")
         return small
-    train.prepare_folder(small, resume=(small.folder / "config.toml").is_file())
     samples = {split: data.load_samples(dataset, split, settings.model.window) for split in ("train", "validation")}
     print(f"making {small.folder}: {epochs} epochs of fine-tuning", flush=True)
+    keras.utils.set_random_seed(tuning.seed)
     if by_filters:
+        keras.mixed_precision.set_global_policy(tuning.precision)
         thin = prune.thin(model, choice.filters if choice.kind == "unet" else choice.units)
         train.compile_model(thin, small, dataset, -(-len(samples["train"]) // tuning.batch_size))
         train.fit(thin, small, samples["train"], samples["validation"])
+        keras.mixed_precision.set_global_policy("float32")
     else:
         targets = train.targets(samples["train"], settings)
         prune.magnitude_prune(
-            model, sparsity, samples["train"].force, targets, train.build_loss(settings, dataset),
-            epochs=epochs, batch_size=tuning.batch_size, learning_rate=learning_rate,
+            model, sparsity, samples["train"].force, targets, train.build_loss(settings, dataset), epochs=epochs,
+            batch_size=tuning.batch_size, learning_rate=learning_rate, precision=tuning.precision,
         )  # fmt: skip
-        checkpoint.save_model(model, done)
+        checkpoint.save_model(model, small.folder / "best.keras")
     shutil.copy(settings.folder / "linear.keras", small.folder / "linear.keras")
-    (small.folder / "pruned").touch()
+    done.touch()
     return small
 
 
 def measure(settings, dataset):
-    """Errors, sizes and surrogates of one run: (figures, {variant: Surrogate})."""
+    """Errors and sizes of one run, and its surrogates: (figures, {variant: path})."""
+    import keras
+
     from unet_fem import checkpoint, data, evaluate, lite, runtime
 
     model = checkpoint.load_model(settings.folder / "best.keras")
@@ -79,7 +88,7 @@ def measure(settings, dataset):
     prediction, volume = evaluate.predict(model, test, dataset)
     every = evaluate.error_metrics(prediction, test, dataset, volume)["relative_l2"]
     hard = evaluate.error_metrics(prediction[test.hard], test.select(test.hard), dataset, volume[test.hard])["relative_l2"]
-    weights = [w for w in model.get_weights() if w.ndim > 1]
+    weights = [layer.get_weights()[0] for layer in model.layers if isinstance(layer, keras.layers.Conv3D)]  # what pruning works on
     shown = lite.calibration_windows(data.load_samples(dataset, "train", settings.model.window).force)
     about = lite.surrogate_facts(dataset)
     folder = settings.folder / "lite"
@@ -90,14 +99,12 @@ def measure(settings, dataset):
         "test_relative_l2": every,
         "hard_relative_l2": hard,
     }
-    surrogates = {}
-    for variant in ("float32", "int8"):
-        path = folder / f"{variant}.tflite"
+    files = {variant: folder / f"{variant}.tflite" for variant in ("float32", "int8")}
+    for variant, path in files.items():
         runtime.write_surrogate(path, lite.export(model, variant, shown), **about)
-        surrogates[variant] = runtime.Surrogate(path)
         figures[f"{variant}_MB"] = path.stat().st_size / 1e6
         figures[f"{variant}_zipped_MB"] = zipped_size(path) / 1e6
-    return figures, surrogates
+    return figures, files
 
 
 def zipped_size(path):
@@ -112,13 +119,14 @@ def zipped_size(path):
 
 def compare(runs, dataset, rounds):
     """Figures of all runs with paired latencies, one thread, {name: figures}; the first run is the one to beat."""
+    from unet_fem.latency import surrogate_action
+
     figures, actions = {}, {}
-    force = dataset.read("test")["force"][0]
+    force = dataset.read("train")["force"][0, -1]
     for settings in runs:
-        figures[settings.name], surrogates = measure(settings, dataset)
-        for variant, surrogate in surrogates.items():
-            out = np.empty(force.shape[1:], "float32")
-            actions[settings.name, variant] = lambda s=surrogate, out=out: s.step(force[-1], out) is None
+        figures[settings.name], files = measure(settings, dataset)
+        for variant, path in files.items():
+            actions[settings.name, variant] = surrogate_action(path, force)
     times = alternate(actions, rounds, warm_up=20)
     for (name, variant), values in times.items():
         figures[name][f"{variant}_ms"] = 1e3 * float(np.median(values))

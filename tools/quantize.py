@@ -2,7 +2,7 @@
 
     python tools/quantize.py runs/<name> [--windows 64] [--margin 1.5] [--layers]
 
-Writes lite/{float32,float16,dynamic,int8}.tflite and lite/metrics.json into the run's folder; the files are for
+Writes lite/{float32,float16,dynamic,int8}.tflite and quantization.json into the run's folder; the files are for
 unet_fem.runtime.Surrogate. Each is audited: only builtin operators, and int8 where its name promises it.
 """
 
@@ -10,7 +10,8 @@ import argparse
 import json
 import logging
 import os
-import warnings
+import re
+from collections import Counter
 
 import numpy as np
 
@@ -24,25 +25,11 @@ def relative(values, reference):
     return float(np.linalg.norm(values - reference) / np.linalg.norm(reference))
 
 
-def answers(path, force):
-    """What the surrogate at `path` says on force (I, F, nx, ny, nz, 3) mN, called frame by frame: (I*F, ...) mm."""
-    from unet_fem.runtime import Surrogate
-
-    surrogate = Surrogate(path, threads=os.cpu_count())
-    result = np.empty_like(force)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the hard interactions do leave the training range
-        for interaction, out in zip(force, result):
-            surrogate.reset()
-            for field, displacement in zip(interaction, out):
-                surrogate.step(field, displacement)
-    return result.reshape(-1, *force.shape[2:])
-
-
 def layer_errors(reference, quantized, windows):
     """{layer: relative L2 error of its output} of the weighted operators that two .tflite files share by name.
 
-    reference, quantized: the files' bytes, float32 and another. windows: (S, [T,] nx, ny, nz, 3) mN.
+    The LSTM has three: all steps' inputs, then each direction's recurrence. reference, quantized: the files' bytes,
+    float32 and another. windows: (S, [T,] nx, ny, nz, 3) mN.
     """
     from ai_edge_litert.interpreter import Interpreter, OpResolverType
 
@@ -65,7 +52,13 @@ def layer_errors(reference, quantized, windows):
         return {name: np.array(parts) for name, parts in values.items()}
 
     exact, rounded = outputs(reference), outputs(quantized)
-    return {name.split(";")[0]: relative(rounded[name], exact[name]) for name in exact if name in rounded}
+    errors, seen = {}, Counter()
+    for name in exact:
+        if name in rounded:
+            layer = re.sub(r"_\d+$", "", name.split("/")[1])  # model_1/layer_1/operator;...
+            seen[layer] += 1
+            errors[f"{layer} {seen[layer]}" if seen[layer] > 1 else layer] = relative(rounded[name], exact[name])
+    return errors
 
 
 def quantize(folder, count, margin, layers):
@@ -75,6 +68,7 @@ def quantize(folder, count, margin, layers):
     from unet_fem.data import windows
     from unet_fem.evaluate import open_run
     from unet_fem.runtime import write_surrogate
+    from unet_fem.stream import answers
 
     logging.getLogger("absl").setLevel(logging.ERROR)  # the converter's remarks on how it was called
     settings, dataset = open_run(folder)
@@ -111,13 +105,14 @@ def quantize(folder, count, margin, layers):
     for variant in lite.VARIANTS:
         print(f"{variant}: " + ", ".join(f"{count} {name}" for name, count in sorted(figures[variant]["operators"].items())))
     if layers:
-        strongest = shown[-8:]
+        seen = windows(force, settings.model.window)
+        seen = seen[:: max(1, len(seen) // 32)]
         for variant in ("dynamic", "int8"):
-            figures[variant]["layers"] = layer_errors(files["float32"], files[variant], strongest)
+            figures[variant]["layers"] = layer_errors(files["float32"], files[variant], seen)
             print(f"\n{variant}: relative L2 error of each layer's output, %")
             for name, error in figures[variant]["layers"].items():
                 print(f"  {100 * error:7.3f}  {name}")
-    write_text(out / "metrics.json", json.dumps(figures, indent=1))
+    write_text(settings.folder / "quantization.json", json.dumps(figures, indent=1))
     return out
 
 

@@ -5,8 +5,12 @@ too, in ranges that calibration has seen, but for the last convolution: it has i
 and so have the scale and mask after it. Forces go in in mN and displacements come out in mm in every variant.
 """
 
+import os
+import sys
+import tempfile
 import warnings
 from collections import Counter
+from contextlib import contextmanager
 
 import flatbuffers
 import numpy as np
@@ -35,17 +39,38 @@ def export(model, variant, windows=None):
         raise InputError("full int8 is calibrated on force windows, and there are none but zeros; give training windows")
     flat = reexpress(model)
     signature = [tf.TensorSpec(flat.input_shape, "float32", name="force")]
-    traced = tf.function(flat, input_signature=signature).get_concrete_function()
-    converter = tf.lite.TFLiteConverter.from_concrete_functions([traced])
-    if variant != "float32":
-        converter.optimizations = [tf.lite.Optimize.DEFAULT]
-    if variant == "float16":
-        converter.target_spec.supported_types = [tf.float16]
-    data = _calibrated(converter, windows) if variant == "int8" else converter.convert()
-    if variant in ("dynamic", "int8"):
-        data = _quantize_float_weights(data)
-    audit(data, variant)
+    with quiet():
+        traced = tf.function(flat, input_signature=signature).get_concrete_function()
+        converter = tf.lite.TFLiteConverter.from_concrete_functions([traced])
+        if variant != "float32":
+            converter.optimizations = [tf.lite.Optimize.DEFAULT]
+        if variant == "float16":
+            converter.target_spec.supported_types = [tf.float16]
+        data = _calibrated(converter, windows) if variant == "int8" else converter.convert()
+        if variant in ("dynamic", "int8"):
+            data = _quantize_float_weights(data)
+        audit(data, variant)
     return data
+
+
+@contextmanager
+def quiet():
+    """Hold back what the converter's C++ writes to this process's standard error, and show it if it fails."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as held:
+        os.dup2(held.fileno(), 2)
+        try:
+            yield
+        except Exception as error:
+            if not isinstance(error, InputError):
+                held.seek(0)
+                os.write(kept, held.read())
+            raise
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def calibration_windows(force, count=64, margin=1.5, seed=1):

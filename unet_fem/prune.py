@@ -4,6 +4,7 @@
 switches its process to them, so keep it in a process of its own (tools/prune.py). `thin` removes whole filters.
 """
 
+import math
 import types
 
 import numpy as np
@@ -11,11 +12,11 @@ import numpy as np
 from unet_fem import models
 
 
-def magnitude_prune(model, sparsity, inputs, targets, loss, *, epochs, batch_size=16, learning_rate=1e-4):
+def magnitude_prune(model, sparsity, inputs, targets, loss, *, epochs, batch_size=16, learning_rate=1e-4, precision="float32"):
     """Fine-tune `model` while a polynomial schedule drives `sparsity` (0-1) of its convolutions' weights to zero.
 
     inputs, targets: training samples as `model.fit` takes them; loss(y_true, y_pred). The schedule ends at half of the
-    epochs, and the rest recovers. Changes the weights of `model` in place.
+    epochs, and the rest recovers. precision: Keras's policy for the fine-tuning. Changes the weights of `model` in place.
     """
     import tensorflow_model_optimization as tfmot
     import tf_keras
@@ -25,16 +26,22 @@ def magnitude_prune(model, sparsity, inputs, targets, loss, *, epochs, batch_siz
 
     def wrap(layer):
         if isinstance(layer, tf_keras.layers.Conv3D):
-            return tfmot.sparsity.keras.prune_low_magnitude(layer, pruning_schedule=schedule)
+            # float32: masks and weights; under a mixed policy the wrapper would round the weights in every step
+            return tfmot.sparsity.keras.prune_low_magnitude(layer, pruning_schedule=schedule, dtype="float32")
         return layer
 
-    legacy = legacy_twin(model)
-    twin = tf_keras.models.clone_model(legacy, clone_function=wrap)
-    rate = tf_keras.optimizers.schedules.CosineDecay(learning_rate, steps)
-    twin.compile(tf_keras.optimizers.Adam(rate, epsilon=1e-12), loss)
-    tfmot.sparsity.keras.strip_pruning(twin).set_weights(legacy.get_weights())  # clone_model copies the architecture alone
-    twin.fit(inputs, targets, batch_size=batch_size, epochs=epochs, verbose=2, callbacks=[tfmot.sparsity.keras.UpdatePruningStep()])
-    model.set_weights(tfmot.sparsity.keras.strip_pruning(twin).get_weights())
+    policy = tf_keras.mixed_precision.global_policy()
+    tf_keras.mixed_precision.set_global_policy(precision)
+    try:
+        legacy = legacy_twin(model)
+        twin = tf_keras.models.clone_model(legacy, clone_function=wrap)
+        rate = tf_keras.optimizers.schedules.CosineDecay(learning_rate, steps)
+        twin.compile(tf_keras.optimizers.Adam(rate, epsilon=1e-12), loss)
+        tfmot.sparsity.keras.strip_pruning(twin).set_weights(legacy.get_weights())  # clone_model copies the architecture alone
+        twin.fit(inputs, targets, batch_size=batch_size, epochs=epochs, verbose=2, callbacks=[tfmot.sparsity.keras.UpdatePruningStep()])
+        model.set_weights(tfmot.sparsity.keras.strip_pruning(twin).get_weights())
+    finally:
+        tf_keras.mixed_precision.set_global_policy(policy)
 
 
 def legacy_twin(model):
@@ -100,7 +107,10 @@ def _thin_unet(model, small):
 def _thin_cnn_lstm(model, small):
     channels, count = model.get_layer("block").target_shape[-1], small.get_layer("block").target_shape[-1]
     kernel, bias = model.get_layer("decoder_conv").get_weights()
-    keep = _largest(np.abs(kernel).sum(axis=(0, 1, 2, 4)), count)
+    norms = np.abs(kernel).sum(axis=(0, 1, 2, 4))
+    # in a block of an odd number of cells the directions meet inside a cell: keep as many channels of each
+    halves = 1 + math.prod(model.get_layer("block").target_shape[:-1]) % 2
+    keep = np.concatenate([n * channels // halves + _largest(part, count // halves) for n, part in enumerate(np.split(norms, halves))])
     small.get_layer("decoder_conv").set_weights([kernel[:, :, :, keep], bias])
     for name in ("first_conv", "output_conv"):
         small.get_layer(name).set_weights(model.get_layer(name).get_weights())

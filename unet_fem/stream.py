@@ -1,11 +1,28 @@
 """Replay an interaction of a dataset in real time, and tell how well the rate was kept."""
 
+import os
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from fem.errors import InputError
+
+
+def answers(path, force):
+    """What the surrogate at `path` says on force (I, F, nx, ny, nz, 3) mN, frame by frame, each interaction from rest: (I*F, ...) mm."""
+    from unet_fem.runtime import Surrogate
+
+    surrogate = Surrogate(path, threads=os.cpu_count())
+    result = np.empty_like(force)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the hard interactions do leave the training range
+        for interaction, out in zip(force, result):
+            surrogate.reset()
+            for field, displacement in zip(interaction, out):
+                surrogate.step(field, displacement)
+    return result.reshape(-1, *force.shape[2:])
 
 
 def replay(surrogate, force, times, rate):
