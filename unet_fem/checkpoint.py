@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 
 import keras
@@ -57,8 +58,11 @@ class Checkpoint(keras.callbacks.Callback):
         self.history = {name: values[:done] for name, values in history.items()}
         return done
 
+    def on_epoch_begin(self, epoch, logs=None):
+        self.began = time.monotonic()
+
     def on_epoch_end(self, epoch, logs=None):
-        for name, value in logs.items():
+        for name, value in {**logs, "seconds": time.monotonic() - self.began}.items():
             self.history.setdefault(name, []).append(float(value))
         write_text(self.history_file, json.dumps(self.history, indent=1))
         errors = self.history["val_relative_error"]

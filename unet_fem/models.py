@@ -15,10 +15,10 @@ import re
 
 import keras
 import numpy as np
-import scipy.linalg
 from keras import layers, ops
 
 from fem.errors import InputError
+from unet_fem import ridge as ridge_regression
 
 
 def unet(grid=(17, 17, 8), filters=64, *, force_scale=1.0, displacement_scale=1.0, mask=None):
@@ -119,9 +119,6 @@ def linear_regression(force, displacement, mask, ridge=1e-6, validation=None):
     one eigendecomposition, and the best on validation = (force, displacement) is kept. The model's name tells which.
     Raises InputError when all forces are zero, or several ridges come without validation.
     """
-    ridges = np.atleast_1d(ridge).tolist()
-    if len(ridges) > 1 and validation is None:
-        raise InputError(f"{len(ridges)} values of ridge and nothing to choose by; give validation or one value")
     mask = np.asarray(mask, dtype=bool)
     active = np.flatnonzero(np.any(force, axis=0))
     if active.size == 0:
@@ -134,22 +131,8 @@ def linear_regression(force, displacement, mask, ridge=1e-6, validation=None):
         return displacement[:, mask].reshape(len(displacement), -1).astype("float64")  # (S, q)
 
     X, Y = columns(force), free_nodes(displacement)
-    dual = len(X) < active.size
-    values, vectors = scipy.linalg.eigh(X @ X.T if dual else X.T @ X)
-    basis = X.T @ vectors if dual else vectors  # (p, r)
-    target = vectors.T @ (Y if dual else X.T @ Y)  # (r, q)
-    keep = values > values[-1] * len(values) * np.finfo("float64").eps  # the rest is rounding
-    values, basis, target = values[keep], basis[:, keep], target[keep]
-
-    def coefficients(ridge):
-        return target / (values + ridge * values[-1])[:, None]
-
-    if len(ridges) > 1:
-        reduced, truth = columns(validation[0]) @ basis, free_nodes(validation[1])
-        ridge = min(ridges, key=lambda r: np.sum((reduced @ coefficients(r) - truth) ** 2))
-    else:
-        ridge = ridges[0]
-    kernel = basis @ coefficients(ridge)  # (p, q)
+    shown = None if validation is None else (columns(validation[0]), free_nodes(validation[1]))
+    kernel, ridge = ridge_regression.fit(X, Y, ridge, shown)  # (p, q)
 
     position = np.zeros((*mask.shape, 3), dtype="int32")
     position[mask] = np.arange(kernel.shape[1]).reshape(-1, 3)

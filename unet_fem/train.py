@@ -17,10 +17,9 @@ from fem.dataset import open_dataset
 from fem.errors import InputError, command_line
 from fem.scene import load_scene
 from unet_fem import config
+from unet_fem.ridge import RIDGES
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-
-RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the linear regression, chosen on the validation data
 
 
 def ensure_dataset(settings):
