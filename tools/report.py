@@ -1,0 +1,45 @@
+"""The whole study, from configurations to docs/results.md: train, export, prune, measure, draw.
+
+    python tools/report.py [configs/study.toml] [--quick] [--out docs] [--again STAGE ...]
+
+What is there already is used again: trained runs under runs/, figures of each stage under runs/<study>/. A command that
+was cut off goes on where it was. --quick takes configs/study_quick.toml, minutes instead of hours.
+"""
+
+import argparse
+from pathlib import Path
+
+from fem.errors import InputError, command_line
+from unet_fem.study import page, pipeline
+from unet_fem.study.settings import load_study
+from unet_fem.study.stages import STAGES, run_stage
+
+STUDY, QUICK = Path("configs/study.toml"), Path("configs/study_quick.toml")
+
+
+@command_line
+def main(arguments=None):
+    parser = argparse.ArgumentParser(prog="python tools/report.py", description=__doc__.split("\n")[0])
+    parser.add_argument("study", nargs="?", type=Path, help=f"settings of the study (default: {STUDY})")
+    parser.add_argument("--quick", action="store_true", help=f"the study of {QUICK}: every step on small settings")
+    parser.add_argument("--out", type=Path, help="folder of results.md and its figures (default: docs; with --quick: runs/<study>)")
+    parser.add_argument("--again", nargs="+", default=[], metavar="STAGE", help=f"measure these again: {', '.join(STAGES)}")
+    parser.add_argument("--draw", action="store_true", help="train and measure nothing: draw and write from what is there")
+    options = parser.parse_args(arguments)
+    if options.quick and options.study:
+        raise InputError(f"give either {options.study} or --quick, not both")
+    for name in options.again:
+        if name not in STAGES:
+            raise InputError(f"--again {name}: no such stage; there are {', '.join(STAGES)}")
+    study = load_study(options.study or (QUICK if options.quick else STUDY))
+    out = options.out or (study.folder if options.quick else Path("docs"))
+    if not options.draw:
+        pipeline.train_networks(study)
+        pipeline.deploy(study)
+    results = {name: run_stage(study, name, again=name in options.again, only_read=options.draw) for name in STAGES}
+    path = page.write(study, results, out)
+    print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
+
+
+if __name__ == "__main__":
+    main()

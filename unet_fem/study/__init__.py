@@ -1,0 +1,1 @@
+"""The study: error against run time, and every table and figure of the paper. `python tools/report.py` runs it."""
