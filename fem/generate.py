@@ -76,12 +76,17 @@ def _run(task):
     scene, parts, (split, number) = task
     result = healthy_interaction(scene, scene.mesh.build(), split, number)
     result["rejected"] = json.dumps(result["rejected"])
-    final = _part(parts, split, number)
-    partial = final.with_suffix(f".{os.getpid()}.partial")
+    save_arrays(_part(parts, split, number), **result)
+
+
+def save_arrays(path, **arrays):
+    """np.savez to `path`, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(f".{os.getpid()}.partial")
     try:
         with open(partial, "wb") as file:
-            np.savez(file, **result)
-        os.replace(partial, final)
+            np.savez(file, **arrays)
+        os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
 

@@ -10,10 +10,10 @@ import pytest
 
 from fem.dataset import open_dataset
 from fem.errors import InputError, SolverStopped
+from fem.generate import save_arrays
 from fem.mesh import box, tumour
 from unet_fem.study import fixed_latency, reference
 from unet_fem.study.frame_loop import SAFETY, Competitor, FrameLoop, coarse_mesh, longest_step
-from unet_fem.study.parallel import save_arrays
 from unet_fem.study.settings import Fem
 
 FRAME = 0.05  # s, a quarter of the tiny dataset's interval

@@ -8,12 +8,12 @@ import json
 import numpy as np
 
 from fem.errors import InputError
+from fem.generate import save_arrays
 from unet_fem import config
 from unet_fem.data import load_samples
 from unet_fem.evaluate import predict, rest_volume
 from unet_fem.figures import by_depth
 from unet_fem.study import pipeline, pod
-from unet_fem.study.parallel import save_arrays
 from unet_fem.study.reference import references, relative_l2, study_dataset, sums_of_squares
 
 FAMILIES = {"cnn_lstm": "CNN-LSTM", "unet": "U-Net"}

@@ -1,10 +1,9 @@
-"""Many independent simulations on all cores, and results that an interruption does not lose."""
+"""Many independent simulations on all cores."""
 
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
@@ -32,15 +31,3 @@ def on_all_cores(function, tasks, title):
             pool.shutdown(cancel_futures=True)
             raise
     return [job.result() for job in jobs]
-
-
-def save_arrays(path, **arrays):
-    """np.savez to `path`, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    try:
-        with open(partial, "wb") as file:
-            np.savez(file, **arrays)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

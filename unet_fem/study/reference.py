@@ -10,11 +10,12 @@ import numpy as np
 
 from fem.contact import Surface
 from fem.dataset import open_dataset
+from fem.generate import save_arrays
 from fem.errors import SolverStopped
 from fem.interaction import contacts_of, simulate
 from fem.mesh import from_voxels
 from fem.scene import SolverChoice
-from unet_fem.study.parallel import on_all_cores, save_arrays
+from unet_fem.study.parallel import on_all_cores
 
 
 def references(study, dataset, split="test", numbers=None):

@@ -13,10 +13,11 @@ import numpy as np
 from fem.contact import Load, Surface
 from fem.energy import EnergyLedger
 from fem.errors import SolverStopped
+from fem.generate import save_arrays
 from fem.interaction import contacts_of
 from unet_fem.study.fixed_latency import frame_forces, frames_between, tuned
 from unet_fem.study.frame_loop import FrameLoop
-from unet_fem.study.parallel import on_all_cores, save_arrays
+from unet_fem.study.parallel import on_all_cores
 from unet_fem.study.reference import study_dataset
 
 TOLERANCE = 0.10  # relative L2

@@ -12,8 +12,9 @@ from scipy.stats import bootstrap
 from fem.contact import Surface
 from fem.dataset import open_dataset
 from fem.errors import InputError, SolverStopped
+from fem.generate import save_arrays
 from fem.interaction import contacts_of, simulate
-from unet_fem.study.parallel import on_all_cores, save_arrays
+from unet_fem.study.parallel import on_all_cores
 from unet_fem.study.reference import judged
 
 
