@@ -19,8 +19,6 @@ STAGES = {  # name, which is a module of this package with run(study): fields of
 
 def run_stage(study, name, again=False, only_read=False):
     """The figures of stage `name`: read if they are there and were taken with these settings, otherwise measured now."""
-    from unet_fem.checkpoint import write_text
-
     path = study.folder / f"{name}.json"
     settings = {field: repr(getattr(study, field)) for field in STAGES[name]}
     if path.is_file() and not again:
@@ -37,6 +35,8 @@ def run_stage(study, name, again=False, only_read=False):
     # a process of its own: TensorFlow's threads, precision and memory are settled once a process
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         result = pool.submit(_run, name, study).result()
+    from unet_fem.checkpoint import write_text  # not above: it brings TensorFlow, which reading does not need
+
     write_text(path, json.dumps({"settings": settings, "result": result}, indent=1, allow_nan=False))
     return result
 
