@@ -85,12 +85,13 @@ def drawn_contacts(scene, surface, split, number, attempt):
     return draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
 
 
-def contacts_of(scene, surface, split, number, force):
-    """The contacts of an interaction of a dataset, drawn again: the attempt is the one whose load gives the frames `force`.
+def contacts_of(dataset, split, number):
+    """The contacts of an interaction of a fem.dataset.Dataset, drawn again: the attempt is the one whose load gives its frames of force.
 
-    surface: of the mesh that was simulated; force: (frames, N, 3) mN there, as in Dataset.sequence(split, number).force.
     Raises InputError if no attempt gives them: the dataset is another scene's.
     """
+    scene, surface = dataset.scene, Surface(dataset.fem_mesh)
+    force = dataset.sequence(split, number).force
     rounding = 1e-5 * max(np.abs(force).max(), 1e-300)
     for attempt in range(MAX_ATTEMPTS):
         contacts = drawn_contacts(scene, surface, split, number, attempt)

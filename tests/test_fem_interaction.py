@@ -1,5 +1,7 @@
 """The contacts behind an interaction of a dataset can be drawn again, whatever attempt it took."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ def test_contacts_are_found_again_after_rejected_draws(tiny_dataset):
     first = []
     for split, number in scene.interactions.all():
         force = dataset.sequence(split, number).force
-        contacts = contacts_of(scene, surface, split, number, force)
+        contacts = contacts_of(dataset, split, number)
         load = Load(surface, contacts)
         np.testing.assert_array_equal(np.array([load(t).T * 1e3 for t in dataset.time], np.float32), force)
         first.append(contacts[0].peak == drawn_contacts(scene, surface, split, number, 0)[0].peak)
@@ -25,6 +27,8 @@ def test_contacts_are_found_again_after_rejected_draws(tiny_dataset):
 
 def test_forces_of_another_scene_have_no_contacts_here(tiny_dataset):
     dataset = open_dataset(tiny_dataset)
-    force = dataset.sequence("train", 1).force
+    contact = dataset.scene.contact
+    stronger = replace(contact, force=tuple(1.01 * peak for peak in contact.force))
+    other = replace(dataset, scene=replace(dataset.scene, contact=stronger))
     with pytest.raises(InputError, match="no draw of the scene gives the forces of train interaction 1"):
-        contacts_of(dataset.scene, Surface(dataset.fem_mesh), "train", 1, 1.01 * force)
+        contacts_of(other, "train", 1)

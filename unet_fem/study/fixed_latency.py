@@ -74,8 +74,7 @@ def frame_forces(dataset, split, number, frame):
 
     Raises InputError if the dataset's frames do not lie among them.
     """
-    scene, surface = dataset.scene, Surface(dataset.fem_mesh)
-    load = Load(surface, contacts_of(scene, surface, split, number, dataset.sequence(split, number).force))
+    scene, load = dataset.scene, Load(Surface(dataset.fem_mesh), contacts_of(dataset, split, number))
     times = frame * np.arange(1, frames_between(scene, frame) * (scene.frames.count - 1) + 1)
     return np.stack([dataset.fem_mesh.to_grid((load(t).T * 1e3).astype(np.float32)) for t in times])
 

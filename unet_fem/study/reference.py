@@ -136,15 +136,14 @@ def _variant(study, dataset, name, choice, numbers, split="test", fine=False):
 
 
 def _simulate(dataset, choice, fine, split, number, path):
-    mesh, force = dataset.fem_mesh, dataset.sequence(split, number).force
-    contacts = contacts_of(dataset.scene, Surface(mesh), split, number, force)
-    mesh = refined(mesh) if fine else mesh
+    mesh = refined(dataset.fem_mesh) if fine else dataset.fem_mesh
     try:
-        displacement = simulate(replace(dataset.scene, solver=choice), mesh, contacts, Surface(mesh))["displacement"]
+        found = simulate(replace(dataset.scene, solver=choice), mesh, contacts_of(dataset, split, number), Surface(mesh))
     except SolverStopped as stop:
         save_arrays(path, stopped=stop.reason)
     else:
-        on_grid = mesh.to_grid(displacement)[:, ::2, ::2, ::2] if fine else dataset.on_grid(force, displacement)[1]
+        displacement = found["displacement"]
+        on_grid = mesh.to_grid(displacement)[:, ::2, ::2, ::2] if fine else dataset.on_grid(found["force"], displacement)[1]
         save_arrays(path, displacement=on_grid)
 
 

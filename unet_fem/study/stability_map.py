@@ -5,7 +5,6 @@ goes; a competitor holds where its relative L2 error is within TOLERANCE and its
 """
 
 import hashlib
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -124,9 +123,8 @@ def simulate_offline(dataset, number, factor, path):
     The answers: "truth", and "elastic FEM", the same without Prony terms.
     """
     scene, mesh, times = dataset.scene, dataset.fem_mesh, dataset.time
-    surface, force = Surface(mesh), dataset.sequence("test", number).force
-    contacts = contacts_of(scene, surface, "test", number, force)
-    load = Load(surface, [replace(contact, peak=factor * contact.peak) for contact in contacts])
+    force = dataset.sequence("test", number).force
+    load = Load(Surface(mesh), [replace(contact, peak=factor * contact.peak) for contact in contacts_of(dataset, "test", number)])
 
     def stepper(scene):
         solver, ledger = scene.build_solver(mesh), EnergyLedger()
@@ -185,22 +183,11 @@ def network_functions(study, dataset):
     """{name: force (frames, nx, ny, nz, 3) mN -> displacement of the same shape, mm}: the deployed networks and linear regression."""
     from unet_fem.checkpoint import load_model
     from unet_fem.data import windows
-    from unet_fem.runtime import Surrogate
+    from unet_fem.stream import answers as lite_answers
 
     def whole(path, steps):
         model = load_model(path)
         return lambda force: np.asarray(model(windows(force[None], steps)))
-
-    def stepwise(path):
-        surrogate = Surrogate(path)
-
-        def answer(force):
-            surrogate.reset()
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # leaving the training range is what is wanted here
-                return np.array([surrogate.step(field) for field in force])
-
-        return answer
 
     functions = {}
     for name, run in (("CNN-LSTM", study.cnn_lstm), ("U-Net", study.unet)):
@@ -209,7 +196,7 @@ def network_functions(study, dataset):
             functions["linear regression"] = whole(settings.folder / "linear.keras", settings.model.window)
         functions[name] = whole(settings.folder / "best.keras", settings.model.window)
         if (lite := settings.folder / "lite/int8.tflite").is_file():
-            functions[f"{name}, int8"] = stepwise(lite)
+            functions[f"{name}, int8"] = lambda force, path=lite: lite_answers(path, force[None])
     return functions
 
 

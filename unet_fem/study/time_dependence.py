@@ -73,14 +73,13 @@ def elastic_answers(study, dataset, numbers):
 def elastic_answer(dataset, number, path):
     """Write the frames of a test interaction to `path`, or why it stopped: the dataset's mesh, contacts and solver, an elastic tissue."""
     scene, mesh = dataset.scene, dataset.fem_mesh
-    surface, force = Surface(mesh), dataset.sequence("test", number).force
-    contacts = contacts_of(scene, surface, "test", number, force)
+    elastic = replace(scene, material=replace(scene.material, prony=()))
     try:
-        found = simulate(replace(scene, material=replace(scene.material, prony=())), mesh, contacts, surface)
+        found = simulate(elastic, mesh, contacts_of(dataset, "test", number), Surface(mesh))
     except SolverStopped as stop:
         save_arrays(path, stopped=stop.reason)
     else:
-        save_arrays(path, displacement=dataset.on_grid(force, found["displacement"])[1])
+        save_arrays(path, displacement=dataset.on_grid(found["force"], found["displacement"])[1])
 
 
 def network_answers(study, dataset, numbers):
