@@ -116,7 +116,7 @@ def test_interactions(dataset, samples, predictions):
 
 def interaction_curves(numbers, hard, force, violations):
     """The figure of each interaction's largest total force (mN) and of {name: its largest relative change of volume}; hard: their numbers."""
-    figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True)
+    figure, axes = plt.subplots(2, 1, figsize=(8, 5.5), sharex=True, layout="constrained")
     axes[0].bar(numbers, force, color="slategray")
     axes[0].set_ylabel("largest total force (mN)")
     for name, violation in violations.items():
@@ -126,7 +126,7 @@ def interaction_curves(numbers, hard, force, violations):
     for axis in axes:
         axis.axvspan(min(hard) - 0.5, max(hard) + 0.5, color="orange", alpha=0.2, label="harder than any in training")
     axes[1].xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(integer=True))
-    axes[1].legend(ncols=3, fontsize=7)
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7)
     return figure
 
 

@@ -46,29 +46,32 @@ def pareto(points, split):
     return front
 
 
-def cost(study, results):
-    """What the data and the training of each main run cost, and after how much simulated time that is earned back.
+def against_fem(study, results):
+    """What the FEM does with the same error and in the same time as a learned competitor, and when that one's cost is earned back.
 
-    Returns [{"run", "data_s", "training_s" (None if not recorded), "frame", "own", "own_s", "fem", "fem_s", "hours"}] for each length
-    of frame: own is the fastest form of the run, fem the fastest FEM that errs no more than it, None where there is none; hours are None
-    where that FEM is as fast.
+    Returns [{"frame": s, "own", "equal", "timely": see below, "training_s", "hours"}] for each length of frame. own is a point, see `points`:
+    of each main run the form that is fastest, of the regressions the fastest and the most accurate. equal: the fastest FEM that errs no
+    more than own on the test interactions; timely: the most accurate FEM that takes no longer; None where there is none. training_s: None
+    for a regression and where it is not recorded. hours of simulated time after which own has saved, against equal, what data
+    and training took; None where it saves nothing.
     """
     timed = results["run_time"]
     data = timed["data_frames"] * timed["data_frame_s"]
     rows = []
-    for run in (study.cnn_lstm, study.unet):
-        training = results["accuracy"]["runs"][run]["seconds"]
-        for frame in study.fem.frames:
-            every = points(results, frame)
-            own = min((p for p in every if p["name"].startswith(f"{run}: ")), key=lambda p: p["seconds"])
-            equal = [p for p in every if p["family"].startswith("FEM") and p["test"] <= own["test"]]
-            fem = min(equal, key=lambda p: p["seconds"], default=None)
-            saved = fem["seconds"] - own["seconds"] if fem else 0.0
-            rows.append({
-                "run": run, "data_s": data, "training_s": training, "frame": frame, "own": own["name"], "own_s": own["seconds"],
-                "fem": fem and fem["name"], "fem_s": fem and fem["seconds"],
-                "hours": (data + (training or 0.0)) / saved * frame / 3600 if saved > 0 else None,
-            })  # fmt: skip
+    for frame in study.fem.frames:
+        every = points(results, frame)
+        fem = [p for p in every if p["family"].startswith("FEM")]
+        regressions = [p for p in every if p["family"] in ("linear", "POD", "POD + quadratic")]
+        chosen = [(min(regressions, key=lambda p: p[key]), None) for key in ("seconds", "test")]
+        for run in (study.cnn_lstm, study.unet):
+            forms = [p for p in every if p["name"].startswith(f"{run}: ")]
+            chosen.append((min(forms, key=lambda p: p["seconds"]), results["accuracy"]["runs"][run]["seconds"]))
+        for own, training in chosen:
+            equal = min((p for p in fem if p["test"] <= own["test"]), key=lambda p: p["seconds"], default=None)
+            timely = min((p for p in fem if p["seconds"] <= own["seconds"]), key=lambda p: p["test"], default=None)
+            saved = equal["seconds"] - own["seconds"] if equal else 0.0
+            hours = (data + (training or 0.0)) / saved * frame / 3600 if saved > 0 else None
+            rows.append({"frame": frame, "own": own, "equal": equal, "timely": timely, "training_s": training, "hours": hours})
     return rows
 
 
@@ -85,8 +88,8 @@ def draw(study, results):
     judged = set(results["reference"]["numbers"])
     for row, (name, numbers) in enumerate((("test", study.fem.interactions), ("hard", results["reference"]["hard_numbers"]))):
         axes[row, 0].set_ylabel(f"relative L2 error (%), {len(judged.intersection(numbers))} {name} interactions")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    shown = {label: handle for axis in axes.flat for handle, label in zip(*axis.get_legend_handles_labels())}
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=4)
     return figure
 
 

@@ -6,6 +6,24 @@ from unet_fem.study import headline, paper_figures, stability_map, statistics, t
 from unet_fem.study.claims import claims, percent
 
 
+CAPTIONS = {
+    "error_vs_time": "Relative L2 error against the converged reference over run time a frame, both logarithmic; above the unseen test interactions, below the hard ones; left a"
+    " new force every 10 ms, right every 250 ms. Down and to the left is better. The red steps join what nothing else beats in both. The lines of the FEM join numbers of time steps a frame.",
+    "depth_configurations": "Mean error of a node over its depth, 0 at the loaded surface and 1 at the deepest layer that can move; a line for each configuration.",
+    "depth_models": "The same for linear regression, both networks and the arms of the volume term.",
+    "bland_altman": "Bland-Altman: prediction less FEM over the mean of both, nodes of all test frames (colour: how many). Solid line: bias; dashed: limits that hold 96 % of the nodes.",
+    "fields": "Displacement on a section through the hardest push of the test interactions, in mm, and below each model its error on the FEM's shape.",
+    "hard_interaction": "The same interaction over time: FEM and both networks, their errors, and the total force of both contacts.",
+    "test_interactions": "Largest total force and largest change of volume of each test interaction; the hard ones are shaded.",
+    "physics": "Relative L2 error without and with the volume term: mean over the seeds with a 95 % bootstrap interval over interactions, and each seed as a cross.",
+    "quantization": "Relative L2 error of every form of both networks.",
+    "pruning": "Relative L2 error after pruning and fine-tuning, as Keras models.",
+    "time_dependence": "Left: error over time. Middle: size of each answer in elastic answers; the black line is the tissue's creep. Right: share of the squared error that is missing time"
+    " dependence. Grey: times that the networks were trained on.",
+    "stability": "Relative L2 error over time and over the factor on the contact forces, a panel for each competitor.",
+}
+
+
 def write(study, results, out):
     """Write <out>/results.md, the figures and the measurements behind both under <out>/results/. Returns the page's path."""
     from unet_fem.checkpoint import write_text
@@ -36,6 +54,12 @@ def write(study, results, out):
 def table(head, rows):
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def picture(name):
+    """A figure of the page with its caption."""
+    kind = "gif" if name == "hard_interaction" else "png"
+    return f"![{name.replace('_', ' ')}](results/{name}.{kind})\n\n*{CAPTIONS[name]}*"
 
 
 def note(study, name):
@@ -78,25 +102,42 @@ def _missing(study, results):
 
 
 def _run_time(study, results):
-    parts = ["## Error against run time", "![Error against run time](results/error_vs_time.png)", *note(study, "run_time")]
+    parts = ["## Error against run time", picture("error_vs_time"), *note(study, "run_time")]
     for frame in study.fem.frames:
         found = sorted(headline.points(results, frame), key=lambda p: p["seconds"])
         best = {id(p) for split in ("test", "hard") for p in headline.pareto(found, split)}
         rows = [(p["name"], p["family"], f"{1e3 * p['seconds']:.3g}", percent(p["test"]), percent(p["hard"])) for p in found if id(p) in best]
         parts += [f"Which no other beats in both, a new force every {1e3 * frame:g} ms:", table(("competitor", "family", "ms a frame", "test %", "hard %"), rows)]
     rows = [
-        (row["own"], f"{1e3 * row['own_s']:.2f}", f"{1e3 * row['frame']:g}", row["fem"] or "none errs as little", f"{1e3 * row['fem_s']:.2f}" if row["fem"] else "-",
-         f"{row['data_s'] / 60:.0f}", f"{row['training_s'] / 60:.0f}" if row["training_s"] else "-", f"{row['hours']:.2g}" if row["hours"] else "never")
-        for row in headline.cost(study, results)
+        (f"{1e3 * row['frame']:g}", row["own"]["name"], f"{1e3 * row['own']['seconds']:.2f}", percent(row["own"]["test"]), _named(row["equal"], "seconds", "none errs as little"),
+         _named(row["timely"], "test", "none is as fast"), f"{row['training_s'] / 60:.0f}" if row["training_s"] else "-", f"{row['hours']:.2g}" if row["hours"] else "never")
+        for row in headline.against_fem(study, results)
     ]  # fmt: skip
-    head = ("network", "ms", "frame ms", "fastest FEM of equal or less error", "ms", "data, min", "training, min", "pays off after simulated hours")
-    parts += ["What a network costs before its first answer, on one thread for the data and all cores for the training, and when that is earned back:", table(head, rows)]
+    timed = results["run_time"]
+    head = ("frame ms", "competitor", "ms", "test %", "fastest FEM of no more error", "most accurate FEM in no more time", "training, min", "pays off after simulated hours")
+    parts += [
+        "At equal error and at equal time, and what a learned competitor costs before its first answer: the data"
+        f" {timed['data_frames'] * timed['data_frame_s'] / 60:.0f} min on one thread, besides the training on all cores. It pays off when its answers have saved as much time against the fastest FEM of no more error:",
+        table(head, rows),
+    ]
     stopped = [f"{p['name']} ({len(p['stopped'])})" for p in results["fixed_latency"]["points"] if p["stopped"]]
     if stopped:
         parts.append(f"Left out, since the solver stopped in as many interactions: {', '.join(stopped)}.")
-    every = [(name, *(f"{1e3 * t[q]:.3g}" for q in ("p50", "p90", "p99", "worst"))) for name, t in sorted(results["run_time"]["seconds"].items())]
-    parts += ["<details><summary>Run time of every competitor</summary>\n", table(("competitor", "p50 ms", "p90", "p99", "worst"), every), "</details>"]
+    found = {p["name"]: p for frame in study.fem.frames for p in headline.points(results, frame)}
+    every = [
+        (name, *(f"{1e3 * times[q]:.3g}" for q in ("p50", "p90", "p99", "worst")), *(percent(found[name][split], 2) if name in found else "-" for split in ("test", "hard")))
+        for name, times in sorted(results["run_time"]["seconds"].items())
+    ]
+    head = ("competitor", "p50 ms", "p90", "p99", "worst", "test %", "hard %")
+    parts += ["<details><summary>Run time and error of every competitor</summary>\n", table(head, every), "</details>"]
     return join(*parts)
+
+
+def _named(point, what, otherwise):
+    """A point of the headline figure with its run time or its error."""
+    if point is None:
+        return otherwise
+    return f"{point['name']}: " + (f"{1e3 * point['seconds']:.2f} ms" if what == "seconds" else f"{percent(point['test'], 2)} %")
 
 
 def _claims(study, results, physics):
@@ -114,7 +155,7 @@ def _configurations(study, results):
     head = ("CNN-LSTM (N_N, N_t)", "parameters", "best epoch", "training %", "validation %", "test %", "hard %")
     return join(
         "## Configurations of the CNN-LSTM", table(head, rows), *note(study, "configurations"),
-        "![Error against depth for each configuration](results/depth_configurations.png)",
+        picture("depth_configurations"),
     )  # fmt: skip
 
 
@@ -133,8 +174,8 @@ def _models(study, results):
     largest = max(results["accuracy"]["fem_violation"])
     return join(
         "## All models", table(head, rows), f"The FEM's own volume changes by at most {percent(largest, 2)} % on the test interactions.", *note(study, "models"),
-        "![Error against depth](results/depth_models.png)", "![Bland-Altman](results/bland_altman.png)", "![Displacement fields](results/fields.png)",
-        "![One hard interaction](results/hard_interaction.gif)", "![Force and volume violation](results/test_interactions.png)",
+        picture("depth_models"), picture("bland_altman"), picture("fields"),
+        picture("hard_interaction"), picture("test_interactions"),
     )  # fmt: skip
 
 
@@ -157,7 +198,7 @@ def _physics(study, physics):
     head = ("volume term", "seeds", "test %", "difference, points", "strongest quarter %", "difference, points", "hard %", "difference, points", "gate open in training %", "in test %", "worst volume %")
     return join(
         "## With and without the volume term", "Brackets hold 95 % bootstrap intervals over interactions, errors averaged over the seeds.", table(head, rows), *note(study, "physics"),
-        "![With and without the volume term](results/physics.png)",
+        picture("physics"),
     )  # fmt: skip
 
 
@@ -174,7 +215,7 @@ def _deployment(study, results):
         "## Latency, quantization, pruning",
         f"thin: whole filters or units removed; pruned: zeros in the convolutions; the number is the share in %. The paper: {', '.join(f'{name} {1e3 * t:.0f} ms' for name, t in headline.PAPER.items())}.",
         table(head, rows), *note(study, "deployment"),
-        "![Error after quantization](results/quantization.png)", "![Pruning](results/pruning.png)",
+        picture("quantization"), picture("pruning"),
     )  # fmt: skip
 
 
@@ -200,7 +241,7 @@ def _choices(study, results):
         "## The paper's data choices", table(head, rows), *note(study, "choices"),
         "### Time dependence", "missed: share of the time dependence (viscoelastic less elastic answer) that an answer lacks, 1 for the elastic FEM. At least, at most: the share of"
         " the answer's squared error that this makes up, and all of its error in that direction. followed: how far the size of the answer follows the creep, 1 for the FEM.",
-        *tables, *note(study, "time_dependence"), "![Time dependence](results/time_dependence.png)",
+        *tables, *note(study, "time_dependence"), picture("time_dependence"),
     )  # fmt: skip
 
 
@@ -211,5 +252,5 @@ def _stability(study, results):
         "## Stability beside accuracy",
         f"Forces of {len(found['interactions'])} test interactions times {', '.join(f'{f:g}' for f in found['factors'])}. The FEM itself stopped, with a reason, in"
         f" {len(stops)} of {len(found['interactions']) * len(found['factors'])}.",
-        *note(study, "stability"), "![Stability beside accuracy](results/stability.png)",
+        *note(study, "stability"), picture("stability"),
     )  # fmt: skip

@@ -213,14 +213,15 @@ def draw(result):
     figure, axes = plt.subplots(2, 3, figsize=(12.5, 7), layout="constrained")
     for row, (name, title) in zip(axes, (("short", "as long as in training"), ("long", "longer than any in training"))):
         part = result[name]
-        row[1].plot(part["time"], values(part["creep"]), "k", linewidth=2.5, label="viscoelastic FEM")
+        time = part["time"][1:]
+        row[1].plot(time, values(part["creep"]), "k", linewidth=2.5, label="viscoelastic FEM")
         for n, (key, answer) in enumerate(part["answers"].items()):
             style = {"color": f"C{n}", "label": answer["label"], "linestyle": ":" if key in ("elastic", "scaled") else "-"}
-            row[0].plot(part["time"], 100 * values(answer["relative_l2"]), **style)
-            row[1].plot(part["time"], values(answer["creep"]), **style)
+            row[0].plot(time, 100 * values(answer["relative_l2"]), **style)
+            row[1].plot(time, values(answer["creep"]), **style)
             if key not in ("elastic", "scaled"):
-                row[2].plot(part["time"], 100 * values(answer["along"]), **style)
-                row[2].fill_between(part["time"], 100 * values(answer["common"]), 100 * values(answer["along"]), color=f"C{n}", alpha=0.08)
+                row[2].plot(time, 100 * values(answer["along"]), **style)
+                row[2].fill_between(time, 100 * values(answer["common"]), 100 * values(answer["along"]), color=f"C{n}", alpha=0.08)
         row[0].set(ylabel="relative L2 error (%)", title=f"{part['interactions']} test interactions, {title}", ylim=(0, None))
         row[1].set(ylabel="size of the answer / elastic FEM")
         row[2].set(ylabel="share of squared error (%)", title="time dependence: at most (line), at least (foot of the shade)", ylim=(0, 100))
@@ -236,5 +237,5 @@ def draw(result):
 
 
 def values(column):
-    """A list with None as an array with gaps."""
-    return np.array(column, float)
+    """A list with None as an array with gaps, without the first frame: nothing has moved there."""
+    return np.array(column, float)[1:]
