@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -68,3 +69,22 @@ def test_every_network_of_the_shipped_studies_has_valid_settings(monkeypatch):
 def test_the_front_holds_what_no_other_beats():
     points = [{"seconds": s, "test": e} for s, e in ((1, 9), (2, 9), (3, 4), (4, 5), (5, 1), (5, 2))]
     assert [(p["seconds"], p["test"]) for p in headline.pareto(points, "test")] == [(1, 9), (3, 4), (5, 1)]
+
+
+def test_the_fem_at_equal_error_and_in_equal_time():
+    """Data of 60 s and training of 30 s are earned back in 90 frames where each saves 1 s, and never where none is saved."""
+    known = {"net: int8": (1.0, 0.2), "net: float32": (3.0, 0.1), "unet: int8": (5.0, 0.3), "linear": (0.5, 0.4), "FEM 1": (2.0, 0.15), "FEM 9": (4.0, 0.01)}
+    family = {"linear": "linear", "FEM 1": "FEM, full", "FEM 9": "FEM, full"}
+    headlines = {name: {"family": family.get(name, "network"), "headline": {"test": error, "hard": error}} for name, (_, error) in known.items()}
+    fem = [{"name": name, "frame": 0.25, "coarse": False, "element": "full", "stopped": []} | model["headline"] for name, model in headlines.items() if "FEM" in name]
+    results = {
+        "run_time": {"seconds": {name: {"p50": seconds} for name, (seconds, _) in known.items()}, "data_frames": 60, "data_frame_s": 1.0},
+        "accuracy": {"models": {n: m for n, m in headlines.items() if "FEM" not in n}, "runs": {"net": {"seconds": 30.0}, "unet": {"seconds": None}}},
+        "fixed_latency": {"points": fem},
+    }
+    study = SimpleNamespace(fem=SimpleNamespace(frames=(0.25,)), cnn_lstm="net", unet="unet")
+    rows = {row["own"]["name"]: row for row in headline.against_fem(study, results)}
+    assert set(rows) == {"linear", "net: int8", "unet: int8"}
+    net, unet = rows["net: int8"], rows["unet: int8"]
+    assert net["equal"]["name"] == "FEM 1" and net["timely"] is None and net["hours"] == pytest.approx(90 * 0.25 / 3600)
+    assert unet["equal"]["name"] == "FEM 1" and unet["timely"]["name"] == "FEM 9" and unet["hours"] is None

@@ -17,7 +17,7 @@ def claims(study, results, physics):
         gain = 1 - better["test"] / worse["test"]
         verdict = REPRODUCED if gain >= 0.8 * paper else PARTLY if gain > 0 else NOT
         rows.append((title, f"by {percent(paper, 0)} %", f"{percent(better['test'])} against {percent(worse['test'])} %, {_by(gain)}", verdict))
-    rows.append(_physics(physics))
+    rows += [_gate(cnn, runs[study.cnn_lstm]), _physics(physics)]
     depth = cnn["depth"]
     top, bottom = depth["mean_mm"][0], depth["mean_mm"][-1]
     grows = all(a >= b for a, b in zip(depth["mean_mm"], depth["mean_mm"][1:]))
@@ -49,6 +49,13 @@ def claims(study, results, physics):
 
 def _by(gain):
     return f"{percent(abs(gain), 0)} % {'less' if gain > 0 else 'more'}"
+
+
+def _gate(cnn, facts):
+    """Whether the volume term, at the threshold that the CNN-LSTM was trained with, had anything to do."""
+    opened = facts["train_gate_open"], cnn["gate_open"]
+    found = f"beyond it: {percent(opened[0], 2)} % of the training samples, {percent(opened[1], 2)} % of the test frames; largest change {percent(max(cnn['violation']))} %"
+    return (f"Answers leave the volume band of {percent(cnn['gate'], 0)} %, so that the term acts", "implied", found, REPRODUCED if all(opened) else PARTLY if any(opened) else NOT)
 
 
 def _physics(physics):
