@@ -17,13 +17,13 @@ MASK[1:, :, 1] = True
 
 
 def made_up(count, seed, quadratic=0.0, largest=1.0, frames=2):
-    """Samples on a 3 x 3 x 2 grid: a linear answer of rank 4 to the last two forces and a quadratic one of its first two components."""
+    """Samples on a 3 x 3 x 2 grid: an answer of rank 4 to the last two forces and to their squares."""
     fixed, rng = np.random.default_rng(7), np.random.default_rng(seed)
     force = np.zeros((count, frames, *MASK.shape, 3), "float32")
     force[:, :, 1, 1:, 1] = rng.uniform(-largest, largest, (count, frames, 2, 3))
     f = force[:, :, 1, 1:, 1].reshape(count, -1).astype(float)
     z = f @ fixed.normal(size=(f.shape[1], 4))
-    u = z @ fixed.normal(size=(4, 18)) + quadratic * (z[:, :2] ** 2) @ fixed.normal(size=(2, 4)) @ fixed.normal(size=(4, 18))
+    u = z @ fixed.normal(size=(4, 18)) + quadratic * f**2 @ fixed.normal(size=(f.shape[1], 4)) @ fixed.normal(size=(4, 18))
     displacement = np.zeros((count, *MASK.shape, 3), "float32")
     displacement[:, MASK] = u.reshape(count, -1, 3)
     return Samples(force, displacement, np.arange(count), np.zeros(count, bool), np.ones(count))
