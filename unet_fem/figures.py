@@ -63,14 +63,14 @@ def error_vs_depth(dataset, samples, fields):
 
 def depth_curves(curves, title):
     """The figure of {name: what `by_depth` gives}."""
-    figure, axes = plt.subplots(1, 2, figsize=(8.6, 3.4), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(8.6, 4), layout="constrained")
     for (name, curve), marker in zip(curves.items(), itertools.cycle("osv^Dx+")):
         axes[0].plot(curve["depth"], curve["mean_mm"], f"{marker}-", markersize=4, linewidth=1, label=name)
         percent = [np.nan if value is None else 100 * value for value in curve["relative_l2"]]
         axes[1].plot(curve["depth"], percent, f"{marker}-", markersize=4, linewidth=1, label=name)
     for axis, label in zip(axes, ("mean error (mm)", "relative L2 error (%)")):
         axis.set(xlabel="normalised depth (0: loaded surface, 1: bottom)", ylabel=label, ylim=(0, None))
-    axes[0].legend(fontsize=7)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7)
     figure.suptitle(title)
     return figure
 

@@ -1,5 +1,6 @@
 """The paper's claims beside what was measured here, each with a verdict by rule."""
 
+EQUAL = 0.02  # of itself: an error that grows by no more counts as the same
 REPRODUCED, PARTLY, NOT = "reproduced", "partly", "**not reproduced**"
 
 
@@ -32,9 +33,9 @@ def claims(study, results, physics):
         f"least on validation: {best}, {percent(runs[best]['validation'])} %; this one: {percent(runs[study.cnn_lstm]['validation'])} %",
         REPRODUCED if best == study.cnn_lstm else NOT,
     ))  # fmt: skip
-    for form, says, limit in (("float16", "harmless", 0.01), ("int8", "harmful", 0.01)):
+    for form, says in (("float16", "harmless"), ("int8", "harmful")):
         lost = max(models[f"{run}: {form}"]["test"] / models[f"{run}: tf.function"]["test"] - 1 for run in (study.cnn_lstm, study.unet))
-        harmless = lost <= limit
+        harmless = lost <= EQUAL
         rows.append((f"{form} is {says}", says, f"error changes by at most {100 * lost:+.1f} % of itself", REPRODUCED if harmless == (says == "harmless") else NOT))
     for run, title, paper in ((study.unet, "U-Net", 0.022), (study.cnn_lstm, "CNN-LSTM", 0.032)):
         fastest = min((f for f in seconds if f.startswith(f"{run}: ")), key=lambda f: seconds[f]["p50"])
@@ -81,7 +82,7 @@ def _pruning(study, models, seconds):
             if name in models and name in seconds:
                 faster = seconds[base]["p50"] / seconds[name]["p50"]
                 worse = models[name]["test"] / models[base]["test"] - 1
-                good = faster >= 1.3 and worse <= 0.02
+                good = faster >= 1.3 and worse <= EQUAL
                 found = f"{faster:.2f}x faster, error {100 * worse:+.1f} % of itself"
                 rows.append((f"{100 * study.prune[0]:.0f} % pruned by {text}: {title}", "1.3x at equal error", found, REPRODUCED if good else PARTLY if faster >= 1.3 else NOT))
     return rows

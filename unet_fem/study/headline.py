@@ -102,7 +102,7 @@ def _panel(axis, found, split, own_error):
         axis.plot(x, y, marker, color=colour, label=family, markersize=5, alpha=0.8, linestyle="-" if "FEM" in family else "", linewidth=0.6)
     front = pareto(found, split)
     axis.step([1e3 * p["seconds"] for p in front], [100 * p[split] for p in front], where="post", color="crimson", linewidth=1.2, label="no other is better in both", zorder=0)
-    axis.set(xscale="log", yscale="log")
+    axis.set(xscale="log", yscale="log", ylim=(None, 600 * max(p[split] for p in found)))  # room for the names above
     for name, seconds in RATES.items():
         axis.axvline(1e3 * seconds, color="gray", linestyle=":", linewidth=1)
         axis.annotate(name, (1e3 * seconds, 1), xycoords=("data", "axes fraction"), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7, color="gray")

@@ -9,7 +9,7 @@ from unet_fem.study.claims import claims, percent
 CAPTIONS = {
     "error_vs_time": "Relative L2 error against the converged reference over run time a frame, both logarithmic; above the unseen test interactions, below the hard ones; left a"
     " new force every 10 ms, right every 250 ms. Down and to the left is better. The red steps join what nothing else beats in both. The lines of the FEM join numbers of time steps a frame.",
-    "depth_configurations": "Mean error of a node over its depth, 0 at the loaded surface and 1 at the deepest layer that can move; a line for each configuration.",
+    "depth_configurations": "Error over depth, 0 at the loaded surface and 1 at the held bottom: left the mean distance of a node from the FEM, right relative L2 in each layer; a line for each configuration.",
     "depth_models": "The same for linear regression, both networks and the arms of the volume term.",
     "bland_altman": "Bland-Altman: prediction less FEM over the mean of both, nodes of all test frames (colour: how many). Solid line: bias; dashed: limits that hold 96 % of the nodes.",
     "fields": "Displacement on a section through the hardest push of the test interactions, in mm, and below each model its error on the FEM's shape.",
@@ -20,7 +20,8 @@ CAPTIONS = {
     "pruning": "Relative L2 error after pruning and fine-tuning, as Keras models.",
     "time_dependence": "Left: error over time. Middle: size of each answer in elastic answers; the black line is the tissue's creep. Right: share of the squared error that is missing time"
     " dependence. Grey: times that the networks were trained on.",
-    "stability": "Relative L2 error over time and over the factor on the contact forces, a panel for each competitor.",
+    "stability": "Colour: relative L2 error over time and over the factor on the contact forces, a panel for each competitor; the elastic FEM has no memory, the other FEM panel is the"
+    " loop of fewest steps a frame. The black line bounds errors within 10 %, hatching marks volumes out of the band, the dashed line forces beyond training.",
 }
 
 

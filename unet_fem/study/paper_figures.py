@@ -185,7 +185,7 @@ def physics_figure(physics):
             if found["low"] is not None:
                 axis.plot([at, at], [100 * found["low"], 100 * found["high"]], "_-", color=f"C{at}", markersize=8)
             axis.plot([at + 0.15] * len(arm["seeds"][which]), 100 * np.array(arm["seeds"][which]), "x", color=f"C{at}", markersize=4)
-        axis.set_xticks(range(len(physics)), [arm["label"].replace(" (", "\n(") for arm in physics], fontsize=7)
+        axis.set_xticks(range(len(physics)), [textwrap.fill(arm["label"], 12) for arm in physics], fontsize=7)
         axis.set_title(title, size=9)
         axis.margins(x=0.3)
     axes[0].set_ylabel("relative L2 error (%)")
