@@ -2,7 +2,8 @@
 
     python tools/report.py [configs/study.toml] [--quick] [--out docs] [--again STAGE ...]
 
-What is there already is used again: trained runs under runs/, figures of each stage under runs/<study>/. A command that
+What is there already is used again: trained runs under runs/, figures of each stage under runs/<study>/, as long as the settings are the
+same (after a change of the code, measure again with --again). A command that
 was cut off goes on where it was. --quick takes configs/study_quick.toml, minutes instead of hours.
 """
 
