@@ -36,7 +36,7 @@ def write(study, results, out):
         "error_vs_time": headline.draw(study, results),
         "time_dependence": time_dependence.draw(results["time_dependence"]),
         "stability": stability_map.draw(results["stability_map"]),
-    } | paper_figures.draw(study, results)
+    } | paper_figures.draw(study, results, physics)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png")
         headline.plt.close(figure)
@@ -146,13 +146,18 @@ def _claims(study, results, physics):
     return join("## The paper's claims", table(("claim", "paper", "here", "verdict"), rows), *note(study, "claims"))
 
 
+def _errors(facts, model):
+    """Training, validation, test and hard error in %, as the tables of models show them."""
+    return [percent(x) for x in (facts["train"], facts["validation"], model["test"], model["hard"])]
+
+
 def _configurations(study, results):
     models, runs = results["accuracy"]["models"], results["accuracy"]["runs"]
     rows = []
     for name in (name for name in study.configurations if name in runs):
         choice, facts = study.network(name).model, runs[name]
         model = models[f"{name}: tf.function"]
-        rows.append((f"({choice.units}, {choice.steps})", f"{facts['parameters']:,}", facts["best_epoch"], *(percent(x) for x in (facts["train"], facts["validation"], model["test"], model["hard"]))))
+        rows.append((f"({choice.units}, {choice.steps})", f"{facts['parameters']:,}", facts["best_epoch"], *_errors(facts, model)))
     head = ("CNN-LSTM (N_N, N_t)", "parameters", "best epoch", "training %", "validation %", "test %", "hard %")
     return join(
         "## Configurations of the CNN-LSTM", table(head, rows), *note(study, "configurations"),
@@ -166,10 +171,9 @@ def _models(study, results):
     for name, model in models.items():
         if model["run"] is None or model["form"] == "tf.function":
             facts = runs[model["run"]] if model["run"] else model
-            best = max(model["violation"])
             rows.append((
-                model["run"] or name, f"{facts['parameters']:,}", *(percent(x) for x in (facts["train"], facts["validation"], model["test"], model["hard"])),
-                percent(model["violation_mean"], 2), percent(best, 2), f"{percent(model['gate_open'], 2)} (at {percent(model['gate'])})",
+                model["run"] or name, f"{facts['parameters']:,}", *_errors(facts, model),
+                percent(model["violation_mean"], 2), percent(max(model["violation"]), 2), f"{percent(model['gate_open'], 2)} (at {percent(model['gate'])})",
             ))  # fmt: skip
     head = ("model", "parameters", "training %", "validation %", "test %", "hard %", "volume % mean", "worst", "test frames beyond the gate %")
     largest = max(results["accuracy"]["fem_violation"])
@@ -192,7 +196,7 @@ def _difference(x):
 
 def _physics(study, physics):
     rows = [
-        (arm["label"], len(arm["runs"]), _interval(arm["test"]), _difference(arm.get("test_difference")), _interval(arm["strong"]), _difference(arm.get("strong_difference")), _interval(arm["hard"]), _difference(arm.get("hard_difference")),
+        (arm["label"], len(arm["runs"]), *(cell for which in ("test", "strong", "hard") for cell in (_interval(arm[which]), _difference(arm.get(f"{which}_difference")))),
          percent(arm["train_gate_open"], 2), percent(arm["test_gate_open"], 2), percent(arm["violation_max"], 2))
         for arm in physics
     ]  # fmt: skip
@@ -226,7 +230,7 @@ def _choices(study, results):
     for name in (name for name in dict.fromkeys((*study.learning_rate, *study.window)) if name in runs):
         settings, facts, model = study.network(name), runs[name], models[f"{name}: tf.function"]
         rate = f"{settings.train.learning_rate:g}, {settings.train.schedule}"
-        rows.append((name, rate, settings.model.steps, f"{facts['best_epoch']} of {facts['epochs']}", *(percent(x) for x in (facts["train"], facts["validation"], model["test"], model["hard"]))))
+        rows.append((name, rate, settings.model.steps, f"{facts['best_epoch']} of {facts['epochs']}", *_errors(facts, model)))
     head = ("run", "learning rate", "window", "best epoch", "training %", "validation %", "test %", "hard %")
     tables = []
     for part, title in ((long["short"], "as long as in training"), (long["long"], f"up to {long['long']['time'][-1]:g} s")):

@@ -8,7 +8,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from unet_fem import figures
 from unet_fem.data import load_samples
 from unet_fem.figures import plt
-from unet_fem.study import pipeline, statistics
+from unet_fem.study import pipeline
 from unet_fem.study.accuracy import KERAS, kept_field, regression_name
 from unet_fem.study.reference import study_dataset
 
@@ -17,8 +17,8 @@ MAIN = ("linear regression", "U-Net", "CNN-LSTM")
 MILLISECONDS = 250  # of a frame of the animation
 
 
-def draw(study, results):
-    """{name: figure} from the results of the accuracy stage."""
+def draw(study, results, physics):
+    """{name: figure} from the results of the accuracy stage; physics: what statistics.physics makes of them."""
     accuracy = results["accuracy"]
     dataset = study_dataset(study)
     test = load_samples(dataset, "test", None)
@@ -40,7 +40,7 @@ def draw(study, results):
         "fields": side_by_side(dataset, test, {label: field for label, field in fields.items() if label in MAIN}),
         "quantization": quantization(study, accuracy),
         "pruning": pruning(study, accuracy),
-        "physics": physics_figure(statistics.physics(study, accuracy)),
+        "physics": physics_figure(physics),
     }  # fmt: skip
 
 
