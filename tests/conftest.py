@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fem import config
-from fem.generate import generate
-from fem.scene import Scene
+from fem import settings as config
+from fem.data.build import generate
+from fem.data.scene import Scene
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 DATA = Path(__file__).parent / "data"
@@ -40,12 +40,18 @@ TINY = {
     "solver": {"precision": "float32", "mass_scaling": 4.0, "damping": 40.0},
     "frames": {"count": 3, "interval": 0.2},
     "contact": {
-        "count": 2, "radius": [1.2e-3, 1.5e-3], "force": [0.1e-3, 0.6e-3], "travel": [0.0, 1e-3], "cone": 30.0,
-        "ramp": [0.1, 0.2], "hold": [0.05, 0.1], "onset": [0.0, 0.1],
+        "count": 2,
+        "radius": [1.2e-3, 1.5e-3],
+        "force": [0.1e-3, 0.6e-3],
+        "travel": [0.0, 1e-3],
+        "cone": 30.0,
+        "ramp": [0.1, 0.2],
+        "hold": [0.05, 0.1],
+        "onset": [0.0, 0.1],
     },
     "interactions": {"seed": 1, "train": 2, "validation": 1, "test": 1, "hard": [1, 1]},
     "health": {"min_J": 0.76},
-}  # fmt: skip
+}
 
 
 @pytest.fixture

@@ -17,13 +17,16 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from fem import element  # noqa: E402
-from fem.dataset import versions  # noqa: E402
-from fem.errors import command_line  # noqa: E402
-from fem.material import Material  # noqa: E402
-from fem.mesh import box, tumour  # noqa: E402
-from fem.solver import BLOCK, STRIDE, Solver  # noqa: E402
-from fem.timing import alternate, paired_ratio, processor, quantiles  # noqa: E402
+from fem.commands import command_line  # noqa: E402
+from fem.material.neo_hooke import Material  # noqa: E402
+from fem.measure.machine import (
+    processor,  # noqa: E402
+    versions,  # noqa: E402
+)
+from fem.measure.timing import alternate, paired_ratio, quantiles  # noqa: E402
+from fem.mesh import element  # noqa: E402
+from fem.mesh.shapes import box, tumour  # noqa: E402
+from fem.solver.explicit import BLOCK, STRIDE, Solver  # noqa: E402
 
 ELASTIC = Material(mu=400.0, nu=0.42, density=1000.0)
 VISCOUS = Material(mu=400.0, nu=0.42, density=1000.0, prony=((0.12, 330.0), (0.8, 11.0)))
@@ -40,7 +43,9 @@ VARIANTS = [
 def plain_force(mesh, material):
     """The internal force as a first draft would have it: einsum, an inverse in every point, np.add.at."""
     jacobian = element.jacobians(mesh.points, mesh.cells, element.GAUSS)
-    gradient = np.einsum("qra,eqrj->eqaj", element.shape_gradients(element.GAUSS), np.linalg.inv(jacobian))
+    gradient = np.einsum(
+        "qra,eqrj->eqaj", element.shape_gradients(element.GAUSS), np.linalg.inv(jacobian)
+    )
     weight = np.linalg.det(jacobian)
 
     def force(u):
@@ -96,27 +101,41 @@ class Run:
 def tumour_table(rounds):
     """Microseconds per step of all variants and both yardsticks on the tumour."""
     mesh = tumour()
-    actions = {f"{kind} {precision} {name}": Run(mesh, kind, precision, material) for kind, precision, name, material in VARIANTS}
+    actions = {
+        f"{kind} {precision} {name}": Run(mesh, kind, precision, material)
+        for kind, precision, name, material in VARIANTS
+    }
     u = 1e-5 * np.random.default_rng(0).normal(size=(3, mesh.n_nodes))
-    yardsticks = {"plain einsum + np.add.at (force alone)": plain_force(mesh, ELASTIC), "felupe (force alone)": felupe_force(mesh, ELASTIC)}
+    yardsticks = {
+        "plain einsum + np.add.at (force alone)": plain_force(mesh, ELASTIC),
+        "felupe (force alone)": felupe_force(mesh, ELASTIC),
+    }
     reference = Run(mesh, "full", "float64", ELASTIC).solver.force
     for name, force in yardsticks.items():
         if force is not None:
-            np.testing.assert_allclose(force(u).reshape(-1, 3).T, reference(u), rtol=1e-9, atol=1e-15)  # the same work
+            np.testing.assert_allclose(
+                force(u).reshape(-1, 3).T, reference(u), rtol=1e-9, atol=1e-15
+            )  # the same work
             actions[name] = lambda force=force: force(u) is not None
     times = {name: 1e6 * values for name, values in alternate(actions, rounds).items()}
     base = times["full float64 elastic"]
     print("\n## The tumour, 1314 hexahedra, microseconds a step\n")
-    print("| variant | p10 | p50 | p90 | against full float64 elastic (p50 of paired ratios) |\n|---|---|---|---|---|")
+    print(
+        "| variant | p10 | p50 | p90 | against full float64 elastic (p50 of paired ratios) |\n|---|---|---|---|---|"
+    )
     result = {}
     for name, values in times.items():
         ratio = paired_ratio(values, base)
         result[name] = quantiles(values, (10, 50, 90), 1) | {"ratio": round(ratio, 3)}
-        print(f"| {name} | {result[name]['p10']:.0f} | {result[name]['p50']:.0f} | {result[name]['p90']:.0f} | {ratio:.2f} |")
+        print(
+            f"| {name} | {result[name]['p10']:.0f} | {result[name]['p50']:.0f} | {result[name]['p90']:.0f} | {ratio:.2f} |"
+        )
     print("\nViscoelastic over elastic, paired: ", end="")
     for kind in ("full", "reduced"):
         for precision in ("float64", "float32"):
-            ratio = paired_ratio(times[f"{kind} {precision} viscoelastic"], times[f"{kind} {precision} elastic"])
+            ratio = paired_ratio(
+                times[f"{kind} {precision} viscoelastic"], times[f"{kind} {precision} elastic"]
+            )
             result[f"{kind} {precision} viscoelastic"]["over elastic"] = round(ratio, 3)
             print(f"{kind} {precision} {ratio:.2f}", end="; ")
     print()
@@ -133,17 +152,29 @@ def frame_table(rounds):
             scaling = max(1.0, (44 / steps) ** 2)
             solver = Solver(mesh, VISCOUS, kind, "float32", damping=50.0, mass_scaling=scaling)
             load = gentle_load(mesh)
-            times = alternate({"frame": lambda: solver.advance(FRAME, lambda t: load, steps=steps)}, rounds)["frame"] * 1e3
-            result[f"{kind} {steps} steps"] = quantiles(times, (10, 50, 90), 2) | {"mass_scaling": scaling, "stable": bool(FRAME / steps <= solver.critical_step)}
+            times = (
+                alternate(
+                    {"frame": lambda: solver.advance(FRAME, lambda t: load, steps=steps)}, rounds
+                )["frame"]
+                * 1e3
+            )
+            result[f"{kind} {steps} steps"] = quantiles(times, (10, 50, 90), 2) | {
+                "mass_scaling": scaling,
+                "stable": bool(FRAME / steps <= solver.critical_step),
+            }
             q = result[f"{kind} {steps} steps"]
-            print(f"| {kind} | {steps} | {scaling:g} | {q['p10']:.1f} | {q['p50']:.1f} | {q['p90']:.1f} |")
+            print(
+                f"| {kind} | {steps} | {scaling:g} | {q['p10']:.1f} | {q['p50']:.1f} | {q['p90']:.1f} |"
+            )
     return result
 
 
 def size_table(boxes, rounds):
     """Microseconds a step and per thousand cells, and bytes a cell, from the tumour to a million hexahedra."""
     result = {}
-    print("\n## Cost against size\n\n| mesh | hexahedra | variant | ms a step (p50) | us per 1000 cells | against the tumour | bytes a cell |\n|---|---|---|---|---|---|---|")
+    print(
+        "\n## Cost against size\n\n| mesh | hexahedra | variant | ms a step (p50) | us per 1000 cells | against the tumour | bytes a cell |\n|---|---|---|---|---|---|---|"
+    )
     meshes = {"tumour": tumour()} | {name: box(cells, 0.5e-3) for name, cells in boxes.items()}
     first = {}
     for mesh_name, mesh in meshes.items():
@@ -159,7 +190,10 @@ def size_table(boxes, rounds):
             key = f"{kind} {precision} {name}"
             first.setdefault(key, per_cell)
             memory = array_bytes(run.solver) / mesh.n_cells
-            result[f"{mesh_name}: {key}"] = {"us_per_step": round(float(np.median(times)), 1), "bytes_per_cell": round(memory)}
+            result[f"{mesh_name}: {key}"] = {
+                "us_per_step": round(float(np.median(times)), 1),
+                "bytes_per_cell": round(memory),
+            }
             print(
                 f"| {mesh_name} | {mesh.n_cells} | {key} | {np.median(times) / 1e3:.2f} | {per_cell * 1e3:.0f} | {per_cell / first[key]:.2f} | {memory:.0f} |",
                 flush=True,
@@ -175,21 +209,43 @@ def array_bytes(thing, seen=None):
     seen.add(id(thing))
     if isinstance(thing, np.ndarray):
         return thing.nbytes if thing.base is None else array_bytes(thing.base, seen)
-    inner = thing.values() if isinstance(thing, dict) else thing if isinstance(thing, (list, tuple)) else vars(thing).values() if hasattr(thing, "__dict__") else ()
+    inner = (
+        thing.values()
+        if isinstance(thing, dict)
+        else thing
+        if isinstance(thing, (list, tuple))
+        else vars(thing).values()
+        if hasattr(thing, "__dict__")
+        else ()
+    )
     return sum(array_bytes(part, seen) for part in list(inner))
 
 
 @command_line
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="few repetitions and no box above 10 thousand cells")
+    parser.add_argument(
+        "--quick", action="store_true", help="few repetitions and no box above 10 thousand cells"
+    )
     parser.add_argument("--out", type=Path, help="write the figures as JSON too")
     options = parser.parse_args(arguments)
     rounds = 3 if options.quick else 25
     boxes = dict(list(BOXES.items())[:1]) if options.quick else BOXES
-    machine = {"processor": processor(), "threads": 1, "versions": versions(), "warm-up": f"{STRIDE} steps"}
-    print(f"{machine['processor']}, one thread, NumPy {np.__version__}; blocks of {BLOCK} steps; warm-up {STRIDE} steps")
-    result = {"machine": machine, "tumour": tumour_table(rounds), "frame": frame_table(rounds), "size": size_table(boxes, rounds)}
+    machine = {
+        "processor": processor(),
+        "threads": 1,
+        "versions": versions(),
+        "warm-up": f"{STRIDE} steps",
+    }
+    print(
+        f"{machine['processor']}, one thread, NumPy {np.__version__}; blocks of {BLOCK} steps; warm-up {STRIDE} steps"
+    )
+    result = {
+        "machine": machine,
+        "tumour": tumour_table(rounds),
+        "frame": frame_table(rounds),
+        "size": size_table(boxes, rounds),
+    }
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n")
         print(f"\nwrote {options.out}")

@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fem.errors import InputError, command_line
-from fem.timing import alternate, paired_ratio
+from fem.commands import command_line
+from fem.errors import InputError
+from fem.measure.timing import alternate, paired_ratio
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
@@ -28,7 +29,9 @@ def thinner(model, settings, sparsity):
     """The model settings with about a share `sparsity` of the parameters of `model` gone."""
     choice = settings.model
     if choice.kind == "unet":  # convolutions inside hold filters^2 weights
-        return dataclasses.replace(choice, filters=max(1, round(choice.filters * math.sqrt(1 - sparsity))))
+        return dataclasses.replace(
+            choice, filters=max(1, round(choice.filters * math.sqrt(1 - sparsity)))
+        )
     lstm = model.get_layer("bilstm").forward_layer
     features = lstm.cell.kernel.shape[0] + 1  # and a bias: the LSTM has 8 N (features + N) weights
     goal = (1 - sparsity) * choice.units * (choice.units + features)
@@ -42,36 +45,54 @@ def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
     """Prune and fine-tune into a run folder of its own, unless that is done already. Returns its settings."""
     import keras
 
-    from unet_fem import checkpoint, data, prune, train
+    from unet_fem.deployment import pruning as prune
+    from unet_fem.training import samples as data
+    from unet_fem.training.checkpoint import load_model, save_model
+    from unet_fem.training.fit import build_loss, compile_model, fit, targets
+    from unet_fem.training.run import prepare_folder
 
-    model = checkpoint.load_model(settings.folder / "best.keras")
+    model = load_model(settings.folder / "best.keras")
     choice = thinner(model, settings, sparsity) if by_filters else settings.model
     name = f"{settings.name}_{'thin' if by_filters else 'pruned'}{100 * sparsity:.0f}"
-    tuning = dataclasses.replace(settings.train, epochs=epochs, learning_rate=learning_rate, schedule="cosine")
+    tuning = dataclasses.replace(
+        settings.train, epochs=epochs, learning_rate=learning_rate, schedule="cosine"
+    )
     small = dataclasses.replace(settings, name=name, model=choice, train=tuning)
-    train.prepare_folder(small, resume=(small.folder / "config.toml").is_file())
+    prepare_folder(small, resume=(small.folder / "config.toml").is_file())
     done = small.folder / "pruned"
     if done.is_file():
         if done.stat().st_mtime < (settings.folder / "best.keras").stat().st_mtime:
-            raise InputError(f"{small.folder} is of an older {settings.folder}; delete it to make it again")
+            raise InputError(
+                f"{small.folder} is of an older {settings.folder}; delete it to make it again"
+            )
         print(f"{small.folder} is done already; delete it to make it again")
         return small
-    samples = {split: data.load_samples(dataset, split, settings.model.window) for split in ("train", "validation")}
+    samples = {
+        split: data.load_samples(dataset, split, settings.model.window)
+        for split in ("train", "validation")
+    }
     print(f"making {small.folder}: {epochs} epochs of fine-tuning", flush=True)
     keras.utils.set_random_seed(tuning.seed)
     if by_filters:
         keras.mixed_precision.set_global_policy(tuning.precision)
         thin = prune.thin(model, choice.filters if choice.kind == "unet" else choice.units)
-        train.compile_model(thin, small, dataset, -(-len(samples["train"]) // tuning.batch_size))
-        train.fit(thin, small, samples["train"], samples["validation"])
+        compile_model(thin, small, dataset, -(-len(samples["train"]) // tuning.batch_size))
+        fit(thin, small, samples["train"], samples["validation"])
         keras.mixed_precision.set_global_policy("float32")
     else:
-        targets = train.targets(samples["train"], settings)
+        targets = targets(samples["train"], settings)
         prune.magnitude_prune(
-            model, sparsity, samples["train"].force, targets, train.build_loss(settings, dataset), epochs=epochs,
-            batch_size=tuning.batch_size, learning_rate=learning_rate, precision=tuning.precision,
-        )  # fmt: skip
-        checkpoint.save_model(model, small.folder / "best.keras")
+            model,
+            sparsity,
+            samples["train"].force,
+            targets,
+            build_loss(settings, dataset),
+            epochs=epochs,
+            batch_size=tuning.batch_size,
+            learning_rate=learning_rate,
+            precision=tuning.precision,
+        )
+        save_model(model, small.folder / "best.keras")
     shutil.copy(settings.folder / "linear.keras", small.folder / "linear.keras")
     done.touch()
     return small
@@ -81,15 +102,25 @@ def measure(settings, dataset):
     """Errors and sizes of one run, and its surrogates: (figures, {variant: path})."""
     import keras
 
-    from unet_fem import checkpoint, data, evaluate, lite, runtime
+    from unet_fem.deployment import tflite as lite
+    from unet_fem.runtime.surrogate import write_surrogate
+    from unet_fem.training import samples as data
+    from unet_fem.training.checkpoint import load_model
+    from unet_fem.training.judge import error_metrics, predict
 
-    model = checkpoint.load_model(settings.folder / "best.keras")
+    model = load_model(settings.folder / "best.keras")
     test = data.load_samples(dataset, "test", settings.model.window)
-    prediction, volume = evaluate.predict(model, test, dataset)
-    every = evaluate.error_metrics(prediction, test, dataset, volume)["relative_l2"]
-    hard = evaluate.error_metrics(prediction[test.hard], test.select(test.hard), dataset, volume[test.hard])["relative_l2"]
-    weights = [layer.get_weights()[0] for layer in model.layers if isinstance(layer, keras.layers.Conv3D)]  # what pruning works on
-    shown = lite.calibration_windows(data.load_samples(dataset, "train", settings.model.window).force)
+    prediction, volume = predict(model, test, dataset)
+    every = error_metrics(prediction, test, dataset, volume)["relative_l2"]
+    hard = error_metrics(prediction[test.hard], test.select(test.hard), dataset, volume[test.hard])[
+        "relative_l2"
+    ]
+    weights = [
+        layer.get_weights()[0] for layer in model.layers if isinstance(layer, keras.layers.Conv3D)
+    ]  # what pruning works on
+    shown = lite.calibration_windows(
+        data.load_samples(dataset, "train", settings.model.window).force
+    )
     about = lite.surrogate_facts(dataset)
     folder = settings.folder / "lite"
     folder.mkdir(exist_ok=True)
@@ -101,7 +132,7 @@ def measure(settings, dataset):
     }
     files = {variant: folder / f"{variant}.tflite" for variant in ("float32", "int8")}
     for variant, path in files.items():
-        runtime.write_surrogate(path, lite.export(model, variant, shown), **about)
+        write_surrogate(path, lite.export(model, variant, shown), **about)
         figures[f"{variant}_MB"] = path.stat().st_size / 1e6
         figures[f"{variant}_zipped_MB"] = zipped_size(path) / 1e6
     return figures, files
@@ -119,7 +150,7 @@ def zipped_size(path):
 
 def compare(runs, dataset, rounds):
     """Figures of all runs with paired latencies, one thread, {name: figures}; the first run is the one to beat."""
-    from unet_fem.latency import surrogate_action
+    from unet_fem.deployment.latency import surrogate_action
 
     figures, actions = {}, {}
     force = dataset.read("train")["force"][0, -1]
@@ -150,21 +181,45 @@ def table(figures):
 
 @command_line
 def main(arguments=None):
-    parser = argparse.ArgumentParser(prog="python tools/prune.py", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python tools/prune.py", description=__doc__.split("\n")[0]
+    )
     parser.add_argument("run", type=Path, help="folder of a training run, such as runs/quick")
-    parser.add_argument("--filters", action="store_true", help="remove whole filters or units instead of single weights")
-    parser.add_argument("--sparsity", type=float, nargs="+", default=[0.5, 0.8], help="shares to remove (default: 0.5 0.8)")
+    parser.add_argument(
+        "--filters",
+        action="store_true",
+        help="remove whole filters or units instead of single weights",
+    )
+    parser.add_argument(
+        "--sparsity",
+        type=float,
+        nargs="+",
+        default=[0.5, 0.8],
+        help="shares to remove (default: 0.5 0.8)",
+    )
     parser.add_argument("--epochs", type=int, default=10, help="of fine-tuning (default: 10)")
-    parser.add_argument("--learning-rate", type=float, default=3e-4, help="of fine-tuning, falling to zero (default: 3e-4)")
-    parser.add_argument("--rounds", type=int, default=200, help="paired timings of each (default: 200)")
+    parser.add_argument(
+        "--learning-rate",
+        type=float,
+        default=3e-4,
+        help="of fine-tuning, falling to zero (default: 3e-4)",
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=200, help="paired timings of each (default: 200)"
+    )
     options = parser.parse_args(arguments)
     if not all(0 < s < 1 for s in options.sparsity) or options.epochs < 1 or options.rounds < 1:
-        raise InputError(f"--sparsity {options.sparsity} must lie between 0 and 1, --epochs and --rounds be at least 1")
-    from unet_fem.checkpoint import write_text
-    from unet_fem.evaluate import open_run
+        raise InputError(
+            f"--sparsity {options.sparsity} must lie between 0 and 1, --epochs and --rounds be at least 1"
+        )
+    from fem.files import write_text
+    from unet_fem.training.run import open_run
 
     settings, dataset = open_run(options.run)
-    small = [smaller_run(settings, dataset, s, options.filters, options.epochs, options.learning_rate) for s in options.sparsity]
+    small = [
+        smaller_run(settings, dataset, s, options.filters, options.epochs, options.learning_rate)
+        for s in options.sparsity
+    ]
     figures = compare([settings, *small], dataset, options.rounds)
     kind = "filters" if options.filters else "weights"
     write_text(settings.folder / f"pruning_{kind}.json", json.dumps(figures, indent=1))

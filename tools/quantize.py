@@ -15,7 +15,8 @@ from collections import Counter
 
 import numpy as np
 
-from fem.errors import InputError, command_line
+from fem.commands import command_line
+from fem.errors import InputError
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
@@ -33,11 +34,15 @@ def layer_errors(reference, quantized, windows):
     """
     from ai_edge_litert.interpreter import Interpreter, OpResolverType
 
-    from unet_fem.lite import WEIGHTED
+    from unet_fem.deployment.tflite import WEIGHTED
 
     def outputs(data):
         plain = OpResolverType.BUILTIN_WITHOUT_DEFAULT_DELEGATES  # keeps every tensor
-        net = Interpreter(model_content=data, experimental_op_resolver_type=plain, experimental_preserve_all_tensors=True)
+        net = Interpreter(
+            model_content=data,
+            experimental_op_resolver_type=plain,
+            experimental_preserve_all_tensors=True,
+        )
         net.allocate_tensors()
         tensors = {tensor["index"]: tensor for tensor in net.get_tensor_details()}
         found = [op["outputs"][0] for op in net._get_ops_details() if op["op_name"] in WEIGHTED]
@@ -48,7 +53,9 @@ def layer_errors(reference, quantized, windows):
             for index in found:
                 scale, zero = tensors[index]["quantization"]
                 value = net.get_tensor(index)
-                values[tensors[index]["name"]].append((value.astype("float32") - zero) * scale if scale else value)
+                values[tensors[index]["name"]].append(
+                    (value.astype("float32") - zero) * scale if scale else value
+                )
         return {name: np.array(parts) for name, parts in values.items()}
 
     exact, rounded = outputs(reference), outputs(quantized)
@@ -57,26 +64,39 @@ def layer_errors(reference, quantized, windows):
         if name in rounded:
             layer = re.sub(r"_\d+$", "", name.split("/")[1])  # model_1/layer_1/operator;...
             seen[layer] += 1
-            errors[f"{layer} {seen[layer]}" if seen[layer] > 1 else layer] = relative(rounded[name], exact[name])
+            errors[f"{layer} {seen[layer]}" if seen[layer] > 1 else layer] = relative(
+                rounded[name], exact[name]
+            )
     return errors
 
 
 def quantize(folder, count, margin, layers):
     """Write the four surrogates of the run in `folder` and return {variant: figures}."""
-    from unet_fem import lite
-    from unet_fem.checkpoint import load_model, write_text
-    from unet_fem.data import windows
-    from unet_fem.evaluate import open_run
-    from unet_fem.runtime import write_surrogate
-    from unet_fem.stream import answers
+    from fem.files import write_text
+    from unet_fem.deployment import tflite as lite
+    from unet_fem.deployment.answers import answers
+    from unet_fem.runtime.surrogate import write_surrogate
+    from unet_fem.training.checkpoint import load_model
+    from unet_fem.training.run import open_run
+    from unet_fem.training.samples import windows
 
-    logging.getLogger("absl").setLevel(logging.ERROR)  # the converter's remarks on how it was called
+    logging.getLogger("absl").setLevel(
+        logging.ERROR
+    )  # the converter's remarks on how it was called
     settings, dataset = open_run(folder)
     model = load_model(settings.folder / "best.keras")
-    if model.input_shape[1:] != (*(settings.model.window,) * bool(settings.model.window), *dataset.grid, 3):
-        raise InputError(f"{folder}: the model takes {model.input_shape[1:]}, its settings or dataset say otherwise; train again")
+    if model.input_shape[1:] != (
+        *(settings.model.window,) * bool(settings.model.window),
+        *dataset.grid,
+        3,
+    ):
+        raise InputError(
+            f"{folder}: the model takes {model.input_shape[1:]}, its settings or dataset say otherwise; train again"
+        )
     test = dataset.read("test")
-    shown = lite.calibration_windows(windows(dataset.read("train")["force"], settings.model.window), count, margin)
+    shown = lite.calibration_windows(
+        windows(dataset.read("train")["force"], settings.model.window), count, margin
+    )
     force = test["force"]
     truth = test["displacement"].reshape(-1, *force.shape[2:])
     hard = np.repeat(test["hard"], force.shape[1])
@@ -84,7 +104,12 @@ def quantize(folder, count, margin, layers):
     about = lite.surrogate_facts(dataset)
     out = settings.folder / "lite"
     out.mkdir(exist_ok=True)
-    figures = {"keras": {"fem_relative_l2": relative(keras, truth), "hard_relative_l2": relative(keras[hard], truth[hard])}}
+    figures = {
+        "keras": {
+            "fem_relative_l2": relative(keras, truth),
+            "hard_relative_l2": relative(keras[hard], truth[hard]),
+        }
+    }
     print("variant        MB  against Keras: L2 %  worst %  against FEM: L2 %  hard %", flush=True)
     print(_row("keras", figures["keras"]), flush=True)
     files = {}
@@ -96,14 +121,21 @@ def quantize(folder, count, margin, layers):
         figures[variant] = {
             "bytes": path.stat().st_size,
             "keras_relative_l2": relative(said, keras),
-            "keras_worst": float(np.abs(said - keras).max() / np.abs(keras).max()),  # of the largest displacement
+            "keras_worst": float(
+                np.abs(said - keras).max() / np.abs(keras).max()
+            ),  # of the largest displacement
             "fem_relative_l2": relative(said, truth),
             "hard_relative_l2": relative(said[hard], truth[hard]),
             "operators": dict(lite.audit(data, variant)),
         }
         print(_row(variant, figures[variant]), flush=True)
     for variant in lite.VARIANTS:
-        print(f"{variant}: " + ", ".join(f"{count} {name}" for name, count in sorted(figures[variant]["operators"].items())))
+        print(
+            f"{variant}: "
+            + ", ".join(
+                f"{count} {name}" for name, count in sorted(figures[variant]["operators"].items())
+            )
+        )
     if layers:
         seen = windows(force, settings.model.window)
         seen = seen[:: max(1, len(seen) // 32)]
@@ -129,14 +161,27 @@ def _row(name, figures):
 
 @command_line
 def main(arguments=None):
-    parser = argparse.ArgumentParser(prog="python tools/quantize.py", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python tools/quantize.py", description=__doc__.split("\n")[0]
+    )
     parser.add_argument("run", help="folder of a training run, such as runs/quick")
-    parser.add_argument("--windows", type=int, default=64, help="training windows that calibrate int8 (default: 64)")
-    parser.add_argument("--margin", type=float, default=1.5, help="how far beyond the strongest int8 reaches (default: 1.5 x)")
-    parser.add_argument("--layers", action="store_true", help="also print what each layer's output loses")
+    parser.add_argument(
+        "--windows", type=int, default=64, help="training windows that calibrate int8 (default: 64)"
+    )
+    parser.add_argument(
+        "--margin",
+        type=float,
+        default=1.5,
+        help="how far beyond the strongest int8 reaches (default: 1.5 x)",
+    )
+    parser.add_argument(
+        "--layers", action="store_true", help="also print what each layer's output loses"
+    )
     options = parser.parse_args(arguments)
     if options.windows < 2 or not options.margin >= 1:
-        raise InputError(f"--windows {options.windows} must be at least 2 and --margin {options.margin:g} at least 1")
+        raise InputError(
+            f"--windows {options.windows} must be at least 2 and --margin {options.margin:g} at least 1"
+        )
     out = quantize(options.run, options.windows, options.margin, options.layers)
     print(f"\nfiles: {out}   next: python -m unet_fem.runtime {out / 'int8.tflite'} <dataset>.h5")
 

@@ -10,8 +10,10 @@ takes configs/study_quick.toml, minutes instead of hours.
 import argparse
 from pathlib import Path
 
-from fem.errors import InputError, command_line
-from unet_fem.study import page, pipeline
+from fem.commands import command_line
+from fem.errors import InputError
+from unet_fem.study import runs as pipeline
+from unet_fem.study.report import page
 from unet_fem.study.settings import load_study
 from unet_fem.study.stages import STAGES, run_stage
 
@@ -20,12 +22,32 @@ STUDY, QUICK = Path("configs/study.toml"), Path("configs/study_quick.toml")
 
 @command_line
 def main(arguments=None):
-    parser = argparse.ArgumentParser(prog="python tools/report.py", description=__doc__.split("\n")[0])
-    parser.add_argument("study", nargs="?", type=Path, help=f"settings of the study (default: {STUDY})")
-    parser.add_argument("--quick", action="store_true", help=f"the study of {QUICK}: every step on small settings")
-    parser.add_argument("--out", type=Path, help="folder of results.md and its figures (default: docs; with --quick: runs/<study>)")
-    parser.add_argument("--again", nargs="+", default=[], metavar="STAGE", help=f"measure these again: {', '.join(STAGES)}")
-    parser.add_argument("--draw", action="store_true", help="train and measure nothing: draw and write from what is there")
+    parser = argparse.ArgumentParser(
+        prog="python tools/report.py", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument(
+        "study", nargs="?", type=Path, help=f"settings of the study (default: {STUDY})"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help=f"the study of {QUICK}: every step on small settings"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder of results.md and its figures (default: docs; with --quick: runs/<study>)",
+    )
+    parser.add_argument(
+        "--again",
+        nargs="+",
+        default=[],
+        metavar="STAGE",
+        help=f"measure these again: {', '.join(STAGES)}",
+    )
+    parser.add_argument(
+        "--draw",
+        action="store_true",
+        help="train and measure nothing: draw and write from what is there",
+    )
     options = parser.parse_args(arguments)
     if options.quick and options.study:
         raise InputError(f"give either {options.study} or --quick, not both")
@@ -37,7 +59,10 @@ def main(arguments=None):
     if not options.draw:
         pipeline.train_networks(study)
         pipeline.deploy(study)
-    results = {name: run_stage(study, name, again=name in options.again, only_read=options.draw) for name in STAGES}
+    results = {
+        name: run_stage(study, name, again=name in options.again, only_read=options.draw)
+        for name in STAGES
+    }
     path = page.write(study, results, out)
     print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
 

@@ -59,9 +59,14 @@ def write(folder, cells, counts, locking):
     """stability.md and stability.png in `folder`; locking: rows (nu, three relative errors), may be empty."""
     folder.mkdir(parents=True, exist_ok=True)
     draw(cells, folder / "stability.png")
-    text = INTRODUCTION.format(counts=f"{len(cells)} cells, {counts['accurate']} accurate, {counts['stopped']} stopped, {counts['WRONG']} WRONG")
+    text = INTRODUCTION.format(
+        counts=f"{len(cells)} cells, {counts['accurate']} accurate, {counts['stopped']} stopped, {counts['WRONG']} WRONG"
+    )
     if locking:
-        text += LOCKING + "".join(f"| {nu:g} | " + " | ".join(f"{100 * error:+.1f} %" for error in errors) + " |\n" for nu, *errors in locking)
+        text += LOCKING + "".join(
+            f"| {nu:g} | " + " | ".join(f"{100 * error:+.1f} %" for error in errors) + " |\n"
+            for nu, *errors in locking
+        )
     text += "\n## Every cell\n\n| sweep | value | outcome | error | tolerance | reference |\n|---|---|---|---|---|---|\n"
     for cell in cells:
         outcome = f"{cell.status}: {cell.reason}" if cell.reason else cell.status
@@ -75,15 +80,21 @@ def draw(cells, path):
     names = list(dict.fromkeys(cell.sweep.name for cell in cells))
     rows = [[cell for cell in cells if cell.sweep.name == name] for name in names]
     widest = max(len(row) for row in rows)
-    figure, axes = plt.subplots(figsize=(4.2 + 1.1 * widest, 1.2 + 0.56 * len(rows)), layout="constrained")
+    figure, axes = plt.subplots(
+        figsize=(4.2 + 1.1 * widest, 1.2 + 0.56 * len(rows)), layout="constrained"
+    )
     for y, row in enumerate(rows):
         for x, cell in enumerate(row):
             _draw_cell(axes, x, y, cell)
-    axes.set(xlim=(0, widest), ylim=(len(rows), 0), xticks=[], yticks=[y + 0.5 for y in range(len(rows))])
+    axes.set(
+        xlim=(0, widest), ylim=(len(rows), 0), xticks=[], yticks=[y + 0.5 for y in range(len(rows))]
+    )
     axes.set_yticklabels(f"{row[0].sweep.name}\nagainst {row[0].sweep.reference}" for row in rows)
     axes.tick_params(length=0, labelsize=8)
     axes.spines[:].set_visible(False)
-    axes.set_xlabel("from one end of the setting to the other; upper line: its value, lower line: the error, or why the run was stopped (hatched)")
+    axes.set_xlabel(
+        "from one end of the setting to the other; upper line: its value, lower line: the error, or why the run was stopped (hatched)"
+    )
     colourbar = figure.colorbar(plt.cm.ScalarMappable(SCALE, COLOURS), ax=axes, aspect=50, pad=0.01)
     colourbar.set_label("relative error of the accurate cells")
     figure.savefig(path, dpi=110)
@@ -93,11 +104,27 @@ def draw(cells, path):
 def _draw_cell(axes, x, y, cell):
     if cell.status == "accurate":
         colour = COLOURS(SCALE(max(cell.error, SCALE.vmin)))
-        style, below = {"facecolor": colour}, f"{100 * cell.error:.1f} %" if cell.error > 5e-4 else f"{cell.error:.0e}"
+        style, below = (
+            {"facecolor": colour},
+            f"{100 * cell.error:.1f} %" if cell.error > 5e-4 else f"{cell.error:.0e}",
+        )
         ink = "white" if sum(colour[:3]) < 1.5 else "black"
     else:
         wrong = cell.status == "WRONG"
-        style, below, ink = {"facecolor": "red" if wrong else "0.92", "hatch": "////", "edgecolor": "0.8"}, cell.reason or "WRONG", "black"
+        style, below, ink = (
+            {"facecolor": "red" if wrong else "0.92", "hatch": "////", "edgecolor": "0.8"},
+            cell.reason or "WRONG",
+            "black",
+        )
     axes.add_patch(plt.Rectangle((x + 0.02, y + 0.04), 0.96, 0.92, linewidth=0, **style))
-    axes.text(x + 0.5, y + 0.31, cell.value, ha="center", va="center", fontsize=8, color=ink, weight="bold")
+    axes.text(
+        x + 0.5,
+        y + 0.31,
+        cell.value,
+        ha="center",
+        va="center",
+        fontsize=8,
+        color=ink,
+        weight="bold",
+    )
     axes.text(x + 0.5, y + 0.7, below, ha="center", va="center", fontsize=7.5, color=ink)

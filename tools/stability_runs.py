@@ -5,15 +5,18 @@ from functools import cache
 
 import numpy as np
 
-import fem.solver
-from fem import element
-from fem.contact import Surface, smooth_step
-from fem.energy import EnergyLedger
+import fem.solver.explicit
+from fem.contact.push import smooth_step
+from fem.contact.surface import Surface
 from fem.errors import SolverStopped
-from fem.kernel import ELEMENTS
-from fem.material import Material
-from fem.mesh import HexMesh, box
-from fem.solver import Solver, equilibrium
+from fem.material.neo_hooke import Material
+from fem.mesh import element
+from fem.mesh.hexmesh import HexMesh
+from fem.mesh.shapes import box
+from fem.solver.energy import EnergyLedger
+from fem.solver.explicit import Solver
+from fem.solver.internal_force import ELEMENTS
+from fem.solver.rest import equilibrium
 
 TISSUE = Material(mu=400.0, nu=0.42, density=1000.0)
 PAPER = replace(TISSUE, prony=((0.12, 330.0), (0.8, 11.0)))
@@ -42,7 +45,10 @@ def sudden(t):
 def history(mesh, material, load, scale, duration, steps=None, **choices):
     """Displacement in m that is conjugate to the load field (3, N), at 200 instants of a run under scale(t) * load, with an energy ledger."""
     solver, record = Solver(mesh, material, **choices), []
-    observers = [EnergyLedger(), lambda s: record.append((s.time, np.vdot(load, s.u) / np.linalg.norm(load)))]
+    observers = [
+        EnergyLedger(),
+        lambda s: record.append((s.time, np.vdot(load, s.u) / np.linalg.norm(load))),
+    ]
     solver.advance(duration, lambda t: scale(t) * load, observers, steps)
     return np.interp(np.linspace(0, duration, 200), *np.transpose(record))
 
@@ -54,7 +60,9 @@ def difference(got, exact):
 def against_small_steps(got, share, *run, **choices):
     """Error of a history against the same run with a `share` of the critical step, in float64."""
     try:
-        return difference(got, history(*run, **(choices | {"precision": "float64", "safety": share})))
+        return difference(
+            got, history(*run, **(choices | {"precision": "float64", "safety": share}))
+        )
     except SolverStopped:
         return np.inf  # what must stop has come to an end
 
@@ -85,13 +93,18 @@ def uniform(mesh, material, stretch, kind="full"):
     """
     F = np.eye(3)
     F[:, 2] += stretch
-    shape, gradient = element.quad_shape(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3))
+    shape, gradient = element.quad_shape(
+        np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3)
+    )
     faces = mesh.boundary_faces
     s, t = np.moveaxis(np.einsum("qra,mai->mqri", gradient, mesh.points[faces]), 2, 0)
     load = np.zeros_like(mesh.points)
     np.add.at(load, faces, np.einsum("qa,mqj,ij->mai", shape, np.cross(s, t), material.stress(F)))
     relaxed = 1 - sum(g for g, _ in material.prony)
-    return difference(equilibrium(mesh, material, relaxed * load, element=kind, max_steps=200_000).displacement, mesh.points[:, 2:] * stretch)
+    return difference(
+        equilibrium(mesh, material, relaxed * load, element=kind, max_steps=200_000).displacement,
+        mesh.points[:, 2:] * stretch,
+    )
 
 
 STRETCH = np.array([0.05, -0.03, 0.04])  # shear and tension: this equilibrium is stable
@@ -123,7 +136,9 @@ def bad_cell(kind, amount):
     if kind == "sliver":
         points[np.isclose(points[:, 0], 2 * EDGE), 0] = (1 + amount) * EDGE
     else:
-        points[mesh.cells[-1, 6]] -= (1 - amount) / 3 * EDGE  # the outer corner of the last cell, in along the diagonal
+        points[mesh.cells[-1, 6]] -= (
+            (1 - amount) / 3 * EDGE
+        )  # the outer corner of the last cell, in along the diagonal
     return HexMesh(points, mesh.cells, mesh.fixed)
 
 
@@ -143,18 +158,28 @@ def stiffness_error(nu, kind):
 
 def locking(values):
     """[(nu, full, reduced, mean dilatation)]: the errors above, the full element's where it is refused too."""
-    limit, fem.solver.LOCKING_NU = fem.solver.LOCKING_NU, 0.5
+    limit, fem.solver.explicit.LOCKING_NU = fem.solver.explicit.LOCKING_NU, 0.5
     try:
-        return [(nu, *(stiffness_error(nu, kind) for kind in ("full", "reduced", "mean_dilatation"))) for nu in values]
+        return [
+            (nu, *(stiffness_error(nu, kind) for kind in ("full", "reduced", "mean_dilatation")))
+            for nu in values
+        ]
     finally:
-        fem.solver.LOCKING_NU = limit
+        fem.solver.explicit.LOCKING_NU = limit
 
 
 def creep(prony, duration, exact, kind="full", mass_scaling=1.0, **choices):
     """Error of the displacement after `duration` s of a sudden, small, held force against the creep function `exact`."""
     load = push(SMALL, 1e-6 * FORCE)
     elastic = equilibrium(SMALL, TISSUE, load.T, residual=1e-7, element=kind).displacement.T
-    solver = Solver(SMALL, replace(TISSUE, prony=prony), kind, mass_scaling=mass_scaling, damping=200 / np.sqrt(mass_scaling), **choices)
+    solver = Solver(
+        SMALL,
+        replace(TISSUE, prony=prony),
+        kind,
+        mass_scaling=mass_scaling,
+        damping=200 / np.sqrt(mass_scaling),
+        **choices,
+    )
     solver.advance(duration, lambda t: load, [EnergyLedger()])
     return abs(np.vdot(load, solver.u) / np.vdot(load, elastic) / exact - 1)
 
@@ -191,4 +216,6 @@ def single_precision(label):
     """float32 against float64 with the same steps."""
     material, kind, peak, scale, duration = SINGLE[label]
     run = BLOCK, material, push(BLOCK, peak), scale, duration
-    return against_small_steps(history(*run, element=kind, precision="float32"), 0.85, *run, element=kind)
+    return against_small_steps(
+        history(*run, element=kind, precision="float32"), 0.85, *run, element=kind
+    )

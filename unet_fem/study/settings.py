@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fem import config
+from fem import settings as config
 from fem.errors import InputError
-from unet_fem.config import load_settings
+from unet_fem.training.settings import load_settings
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,20 @@ class Study:
         names = [network.name for network in self.networks]
         if len(set(names)) < len(names):
             raise InputError("networks: two have the same name; a run's name must be its own")
-        used = [self.cnn_lstm, self.unet, *self.configurations, *self.deployed, *self.learning_rate, *self.window, *(run for arm in self.physics for run in arm.runs)]
+        used = [
+            self.cnn_lstm,
+            self.unet,
+            *self.configurations,
+            *self.deployed,
+            *self.learning_rate,
+            *self.window,
+            *(run for arm in self.physics for run in arm.runs),
+        ]
         for name in used:
             if name not in names:
-                raise InputError(f"run '{name}' is not among the networks of the study: {', '.join(names)}")
+                raise InputError(
+                    f"run '{name}' is not among the networks of the study: {', '.join(names)}"
+                )
 
     @property
     def folder(self):
@@ -104,4 +114,6 @@ class Study:
 
 
 def load_study(path, overrides=()):
-    return config.build(Study, config.merge(config.read_toml(path), config.parse_overrides(overrides)))
+    return config.build(
+        Study, config.merge(config.read_toml(path), config.parse_overrides(overrides))
+    )

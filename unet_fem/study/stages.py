@@ -7,12 +7,12 @@ from concurrent.futures import ProcessPoolExecutor
 
 from fem.errors import InputError
 
-STAGES = {  # name, which is a module of this package with run(study): fields of the study that its figures depend on
+STAGES = {  # name, which is a module of unet_fem.study.measure with run(study): fields of the study that its figures depend on
     "reference": ("fem",),
     "fixed_latency": ("fem",),
     "accuracy": ("networks", "deployed", "prune", "pod_modes", "fem"),
     "time_dependence": ("cnn_lstm", "unet", "window", "long_scene"),
-    "stability_map": ("cnn_lstm", "unet", "stability"),
+    "force_range": ("cnn_lstm", "unet", "stability"),
     "run_time": ("deployed", "prune", "pod_modes", "fem", "rounds"),
 }
 
@@ -35,11 +35,13 @@ def run_stage(study, name, again=False, only_read=False):
     # a process of its own: TensorFlow's threads, precision and memory are settled once a process
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         result = pool.submit(_run, name, study).result()
-    from unet_fem.checkpoint import write_text  # not above: it brings TensorFlow, which reading does not need
+    from fem.files import write_text  # not above: it brings TensorFlow, which reading does not need
 
-    write_text(path, json.dumps({"settings": settings, "result": result}, indent=1, allow_nan=False))
+    write_text(
+        path, json.dumps({"settings": settings, "result": result}, indent=1, allow_nan=False)
+    )
     return result
 
 
 def _run(name, study):
-    return importlib.import_module(f"unet_fem.study.{name}").run(study)
+    return importlib.import_module(f"unet_fem.study.measure.{name}").run(study)

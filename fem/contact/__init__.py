@@ -1,0 +1,1 @@
+"""Instruments that push on the surface of a mesh."""

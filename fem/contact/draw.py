@@ -1,0 +1,101 @@
+"""Ranges that the contacts of a scene are drawn from, and the seeded draws."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fem.contact.push import Contact
+from fem.errors import InputError
+
+PATTERNS = ("hold", "release", "oscillate")
+
+
+@dataclass(frozen=True)
+class ContactRange:
+    """What the contacts of a scene are drawn from: (low, high) pairs, and the number of contacts.
+
+    radius m, force N (peak), travel m (length of the path), ramp s, hold s, onset s, rate Hz; cone: largest angle in
+    degrees between the force and the inward normal; low: share of the peak left by a release or an oscillation.
+    """
+
+    count: int
+    radius: tuple[float, float]
+    force: tuple[float, float]
+    travel: tuple[float, float] = (0.0, 0.0)
+    cone: float = 0.0
+    ramp: tuple[float, float] = (0.3, 1.0)
+    hold: tuple[float, float] = (0.2, 1.5)
+    onset: tuple[float, float] = (0.0, 1.0)
+    low: tuple[float, float] = (0.0, 0.6)
+    rate: tuple[float, float] = (0.3, 1.0)
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise InputError(f"contact.count = {self.count} must be at least 1")
+        if not 0 <= self.cone < 90:
+            raise InputError(f"contact.cone = {self.cone} degrees must be from 0 to below 90")
+        for name in ("radius", "force", "travel", "ramp", "hold", "onset", "low", "rate"):
+            low, high = getattr(self, name)
+            if not (0 <= low <= high < np.inf):
+                raise InputError(
+                    f"contact.{name} = [{low:g}, {high:g}] must be two numbers from low to high, none negative"
+                )
+        for name in ("radius", "ramp"):
+            if getattr(self, name)[0] <= 0:
+                raise InputError(
+                    f"contact.{name} starts at {getattr(self, name)[0]:g}; it must be above 0"
+                )
+
+
+def draw_contacts(surface, ranges, duration, rng, factor=None):
+    """The contacts of one interaction, a list of Contact drawn with the generator `rng`.
+
+    factor: (low, high) makes a hard interaction: every contact acts from the start, holds long enough for all to push
+    together, and peaks at low to high times the largest force in `ranges`.
+    """
+    return [_draw_contact(surface, ranges, duration, rng, factor) for _ in range(ranges.count)]
+
+
+def _draw_contact(surface, ranges, duration, rng, factor):
+    radius = rng.uniform(*ranges.radius)
+    inside = np.flatnonzero(surface.clearance >= min(radius, 0.9 * surface.clearance.max()))
+    start = inside[rng.choice(len(inside), p=surface.area[inside] / surface.area[inside].sum())]
+    reach = np.linalg.norm(surface.points[inside] - surface.points[start], axis=1)
+    length = rng.uniform(*ranges.travel)
+    # the end lies near the drawn distance, in a random direction, inside the same part of the surface and on the same side
+    behind = surface.normal[inside] @ surface.normal[start] < 0.5
+    end = inside[
+        np.argmin(
+            np.abs(reach - length)
+            + rng.uniform(0, 0.1 * ranges.travel[1] + 1e-12, len(reach))
+            + np.where(behind, np.inf, 0)
+        )
+    ]
+    peak = rng.uniform(*ranges.force) if factor is None else rng.uniform(*factor) * ranges.force[1]
+    onset = rng.uniform(*ranges.onset) if factor is None else 0.0
+    hold = rng.uniform(*ranges.hold) if factor is None else ranges.ramp[1]
+    return Contact(
+        start=surface.points[start],
+        end=surface.points[end],
+        direction=tilt(-surface.normal[start], np.radians(ranges.cone), rng),
+        radius=radius,
+        peak=peak,
+        onset=min(onset, 0.5 * duration),
+        ramp=rng.uniform(*ranges.ramp),
+        hold=hold,
+        pattern=PATTERNS[rng.integers(len(PATTERNS))],
+        low=rng.uniform(*ranges.low),
+        rate=rng.uniform(*ranges.rate),
+        duration=duration,
+    )
+
+
+def tilt(axis, angle, rng):
+    """A unit vector drawn evenly from the cone of half-angle `angle` about the unit vector `axis`."""
+    cosine = rng.uniform(np.cos(angle), 1.0)
+    azimuth = rng.uniform(0, 2 * np.pi)
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    return cosine * axis + np.sqrt(1 - cosine**2) * (
+        np.cos(azimuth) * side + np.sin(azimuth) * np.cross(axis, side)
+    )

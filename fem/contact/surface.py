@@ -1,0 +1,71 @@
+"""The surface of a mesh that instruments touch, and the nodal forces of a footprint on it."""
+
+import numpy as np
+import scipy.sparse
+import scipy.spatial
+
+from fem.errors import InputError
+from fem.mesh import element
+
+
+class Surface:
+    """The free surface of a mesh, with quadrature points that turn a footprint into consistent nodal forces."""
+
+    def __init__(self, mesh):
+        faces = mesh.free_faces
+        if not len(faces):
+            raise InputError(
+                "the mesh has no free surface to push on: every boundary node is fixed"
+            )
+        points = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3)
+        shape, gradient = element.quad_shape(points)  # (4, 4), (4, 2, 4)
+        corners = mesh.points[faces]  # (M, 4, 3)
+        tangents = np.einsum("qra,mai->mqri", gradient, corners)
+        normal = np.cross(tangents[..., 0, :], tangents[..., 1, :]).reshape(
+            -1, 3
+        )  # outward, of length dA
+        self.area = np.linalg.norm(normal, axis=1)  # (P,)
+        self.normal = normal / self.area[:, None]
+        self.points = np.einsum("qa,mai->mqi", shape, corners).reshape(-1, 3)  # (P, 3)
+        column = np.arange(len(self.area)).reshape(-1, 4, 1)
+        row = np.broadcast_to(faces[:, None], (len(faces), 4, 4))
+        weight = np.broadcast_to(shape, row.shape)
+        entries = (weight.ravel(), (row.ravel(), np.broadcast_to(column, row.shape).ravel()))
+        self.spread = scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
+        rim = mesh.points[np.union1d(faces[mesh.fixed[faces]], _edge_nodes(faces))]
+        self.clearance = scipy.spatial.cKDTree(rim).query(self.points)[
+            0
+        ]  # (P,) m, inf without a rim
+
+    def footprint(self, centre, radius):
+        """Share of a unit force that each node takes, (N,): consistent with the pressure (1 - r^2/R^2)^2, sum exactly 1.
+
+        r is measured along the surface's tangent plane under the centre, so that a straight path may cut through a curved
+        surface, and never reaches the other side of a thin wall. Raises InputError if the circle holds no point of the surface.
+        """
+        offset = self.points - centre
+        squared = np.einsum("pi,pi->p", offset, offset)
+        near = self.normal @ self.normal[squared.argmin()] > -0.5
+        mean = self.normal.T @ (near * bump(squared / (2 * radius) ** 2) * self.area)
+        normal = mean / max(np.linalg.norm(mean), 1e-300)
+        height = offset @ normal
+        distance = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+        pressure = near * (np.abs(height) < radius) * bump(np.square(distance / radius)) * self.area
+        total = pressure.sum()
+        if total == 0:
+            raise InputError(
+                f"a footprint of radius {radius:g} m at {np.array2string(centre, precision=4)} m misses the free surface; widen contact.radius"
+            )
+        return self.spread @ (pressure / total)
+
+
+def bump(x):
+    """(1 - x)^2 from x = 0 to 1, then 0."""
+    return np.square(np.clip(1 - x, 0, None))
+
+
+def _edge_nodes(faces):
+    """The nodes on the edge of the surface that the quadrilaterals `faces` (M, 4) make up."""
+    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    side, count = np.unique(sides, axis=0, return_counts=True)
+    return side[count == 1]

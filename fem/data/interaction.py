@@ -1,0 +1,142 @@
+"""One interaction of a scene, simulated, judged, and drawn again if it is unfit for training."""
+
+from collections import Counter
+
+import numpy as np
+
+from fem.contact.draw import draw_contacts
+from fem.contact.push import Load
+from fem.contact.surface import Surface
+from fem.data.scene import SPLITS
+from fem.errors import InputError, SolverStopped
+from fem.solver.energy import EnergyLedger
+from fem.solver.explicit import STANDSTILL
+
+MAX_ATTEMPTS = 20
+
+
+def simulate(scene, mesh, contacts, surface):
+    """Frames of one interaction on `mesh`.
+
+    Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3, energy (frames, 7) in
+    the order of fem.solver.energy.COLUMNS after time, and the health figures imbalance, min_J, kinetic_share, hourglass_share
+    and steps. Raises SolverStopped if the run cannot go on.
+    """
+    solver, ledger, load = scene.build_solver(mesh), EnergyLedger(), Load(surface, contacts)
+    times = scene.frames.times
+    balances = FrameBalances(ledger, times, scene.material)
+    force = np.zeros((len(times), mesh.n_nodes, 3), np.float32)
+    displacement = np.zeros_like(force)
+    volume = np.full(len(times), mesh.volume() * 1e9)
+    force[0] = load(0.0).T * 1e3
+    for frame in range(1, len(times)):
+        solver.advance(times[frame] - solver.time, load, [ledger, balances])
+        force[frame] = load(times[frame]).T * 1e3
+        displacement[frame] = solver.u.T * 1e3
+        volume[frame] = mesh.volume(solver.u.T) * 1e9
+    rows = np.array(ledger.rows)
+    return {
+        "force": force,
+        "displacement": displacement,
+        "volume": volume,
+        "energy": balances.at_frames(),
+        "imbalance": ledger.worst_imbalance(),
+        "min_J": ledger.smallest_J,
+        "kinetic_share": ledger.kinetic_share(),
+        "hourglass_share": float(rows[:, 3].max() / max(rows[:, 2].max(), 1e-300)),
+        "steps": solver.steps,
+    }
+
+
+class FrameBalances:
+    """Observer that comes after an EnergyLedger: a balance for each of the frames at `times` (s).
+
+    The viscous work is known only where the viscous stress is brought up to date, so a balance is taken at the last such
+    steps before each frame.
+    """
+
+    def __init__(self, ledger, times, material):
+        self.ledger, self.times = ledger, times
+        self.standstill = STANDSTILL * min((tau for _, tau in material.prony), default=0.0)
+        self.rows = {}
+
+    def __call__(self, solver):
+        frame = int(np.searchsorted(self.times, solver.time))
+        early = self.times[frame] - solver.time if frame < len(self.times) else np.inf
+        if (
+            not solver.steps
+            or solver.viscous_current
+            and early <= 1.01 * max(solver.dt, self.standstill)
+        ):
+            self.rows[frame] = self.ledger.balance(solver)
+
+    def at_frames(self):
+        """(frames, 7), the columns of fem.solver.energy.COLUMNS after time, interpolated to the frames."""
+        rows = np.array([self.rows[frame] for frame in sorted(self.rows)])
+        return np.stack(
+            [np.interp(self.times, rows[:, 0], column) for column in rows[:, 1:].T], axis=1
+        )
+
+
+def unfit(scene, result):
+    """Why a simulated interaction must not enter a dataset: a short reason, or None."""
+    if not all(np.isfinite(result[name]).all() for name in ("force", "displacement", "volume")):
+        return "not finite"
+    if not result["imbalance"] <= scene.health.imbalance:
+        return "energy imbalance"
+    if not result["min_J"] >= scene.health.min_J:
+        return "crushed cell"
+    if not result["kinetic_share"] <= scene.health.kinetic_share:
+        return "kinetic energy"
+    return None
+
+
+def drawn_contacts(scene, surface, split, number, attempt):
+    """The contacts of one draw: it depends on the scene's seed, the split, the number and the attempt, on nothing else."""
+    rng = np.random.default_rng([scene.interactions.seed, SPLITS.index(split), number, attempt])
+    factor = scene.interactions.hard_force if scene.interactions.is_hard(split, number) else None
+    return draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
+
+
+def contacts_of(dataset, split, number):
+    """The contacts of an interaction of a fem.data.dataset.Dataset, drawn again: the attempt is the one whose load gives its frames of force.
+
+    Raises InputError if no attempt gives them: the dataset is another scene's.
+    """
+    scene, surface = dataset.scene, Surface(dataset.fem_mesh)
+    force = dataset.sequence(split, number).force
+    rounding = 1e-5 * max(np.abs(force).max(), 1e-300)
+    for attempt in range(MAX_ATTEMPTS):
+        contacts = drawn_contacts(scene, surface, split, number, attempt)
+        load = Load(surface, contacts)
+        if all(
+            np.abs(load(t).T * 1e3 - frame).max() <= rounding
+            for t, frame in zip(scene.frames.times, force, strict=True)
+        ):
+            return contacts
+    raise InputError(
+        f"no draw of the scene gives the forces of {split} interaction {number}; generate the dataset again"
+    )
+
+
+def healthy_interaction(scene, mesh, split, number):
+    """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with `rejected` {reason: count}.
+
+    Raises InputError after 20 unfit draws.
+    """
+    surface, rejected = Surface(mesh), Counter()
+    for attempt in range(MAX_ATTEMPTS):
+        try:
+            result = simulate(
+                scene, mesh, drawn_contacts(scene, surface, split, number, attempt), surface
+            )
+            reason = unfit(scene, result)
+        except SolverStopped as stop:
+            reason = stop.reason
+        if reason is None:
+            return result | {"rejected": dict(rejected)}
+        rejected[reason] += 1
+    counts = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common())
+    raise InputError(
+        f"{split} interaction {number} was unfit in all {MAX_ATTEMPTS} draws ({counts}); lower contact.force or widen contact.radius"
+    )

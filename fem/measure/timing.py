@@ -1,0 +1,34 @@
+"""Timings that can be trusted on a noisy machine: variants take turns, and quantiles are quoted."""
+
+import time
+
+import numpy as np
+
+
+def alternate(actions, rounds, warm_up=1):
+    """Seconds per unit of each action, {name: array (rounds,)}: the actions take turns, so that ratios hold.
+
+    actions: {name: callable}; a callable that does several units of work returns their number, otherwise None.
+    warm_up: calls of each action before the clock runs.
+    """
+    for action in actions.values():
+        for _ in range(warm_up):
+            action()
+    times = {name: np.empty(rounds) for name in actions}
+    for i in range(rounds):
+        for name, action in actions.items():
+            start = time.perf_counter()
+            units = action()
+            times[name][i] = (time.perf_counter() - start) / (units or 1)
+    return times
+
+
+def quantiles(values, which=(50, 90, 99), digits=4):
+    """{"p50": ..., "p90": ..., "worst": ...} of an array."""
+    result = {f"p{q}": round(float(np.percentile(values, q)), digits) for q in which}
+    return result | {"worst": round(float(np.max(values)), digits)}
+
+
+def paired_ratio(values, base):
+    """Median of the ratios of values and base that were taken in the same rounds."""
+    return float(np.median(values / base))

@@ -1,0 +1,1 @@
+"""Hexahedral meshes, from shapes or files, and their node grids."""

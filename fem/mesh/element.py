@@ -1,0 +1,61 @@
+"""The eight-node hexahedron: corners, shape functions, quadrature and hourglass vectors, in VTK node order."""
+
+import numpy as np
+
+CORNERS = np.array(
+    [
+        [-1, -1, -1],
+        [1, -1, -1],
+        [1, 1, -1],
+        [-1, 1, -1],
+        [-1, -1, 1],
+        [1, -1, 1],
+        [1, 1, 1],
+        [-1, 1, 1],
+    ],
+    float,
+)  # (8, 3) reference coordinates of the nodes
+FACES = np.array(
+    [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+)  # (6, 4) corners of each face, counter-clockwise seen from outside
+GAUSS = CORNERS / np.sqrt(3.0)  # (8, 3) the 2 x 2 x 2 points, each of weight 1
+CENTRE = np.zeros((1, 3))  # the one-point rule, of weight 8
+
+_x, _y, _z = CORNERS.T
+HOURGLASS = np.array(
+    [_y * _z, _z * _x, _x * _y, _x * _y * _z]
+)  # (4, 8) orthogonal to every linear field on a parallelepiped
+
+
+def shape_gradients(points):
+    """dN_a/dxi_r at reference `points` (Q, 3): (Q, 3, 8)."""
+    t = 1.0 + points[:, None, :] * CORNERS  # (Q, 8, 3)
+    products = np.stack(
+        [t[..., 1] * t[..., 2], t[..., 2] * t[..., 0], t[..., 0] * t[..., 1]], axis=1
+    )
+    return CORNERS.T * products / 8.0
+
+
+def quad_shape(points):
+    """Bilinear shape functions of a quadrilateral face at `points` (Q, 2) in [-1, 1]^2: (Q, 4), and gradients (Q, 2, 4)."""
+    a, b = np.array([-1.0, 1.0, 1.0, -1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
+    s, t = 1.0 + points[:, :1] * a, 1.0 + points[:, 1:] * b
+    return s * t / 4.0, np.stack([a * t, b * s], axis=1) / 4.0
+
+
+def corner_jacobians(x):
+    """det dX_i/dxi_r at the corners of cells with nodes at x (3, 8, E): (8, E)."""
+    along_x, along_y, along_z = (
+        x[:, [1, 2, 5, 6]] - x[:, [0, 3, 4, 7]],
+        x[:, [3, 2, 7, 6]] - x[:, [0, 1, 4, 5]],
+        x[:, 4:] - x[:, :4],
+    )
+    normal = np.cross(
+        along_y[:, [0, 1, 1, 0, 2, 3, 3, 2]], along_z[:, [0, 1, 2, 3, 0, 1, 2, 3]], axis=0
+    )
+    return np.einsum("iae,iae->ae", along_x[:, [0, 0, 1, 1, 2, 2, 3, 3]], normal) / 8
+
+
+def jacobians(points, cells, where):
+    """dX_i/dxi_r of cells (E, 8) with nodes at `points` (N, 3), at reference points `where` (Q, 3): (E, Q, 3, 3)."""
+    return np.einsum("eai,qra->eqir", points[cells], shape_gradients(where))

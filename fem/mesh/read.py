@@ -1,0 +1,184 @@
+"""Hexahedral meshes from files (VTK, Gmsh, Abaqus and whatever else meshio reads)."""
+
+import contextlib
+import dataclasses
+import io
+import re
+from pathlib import Path
+
+import meshio
+import numpy as np
+import scipy.sparse
+
+from fem.errors import InputError
+from fem.mesh.hexmesh import HexMesh
+from fem.mesh.select import select
+
+
+def read_mesh(path, scale=1.0, fixed=None, loaded=None):
+    """The HexMesh in the file at `path`, without a node grid; see fem.mesh.node_grid for that.
+
+    scale: metres per unit of length in the file. fixed, loaded: selections (see fem.mesh.select) of the nodes that are
+    held and of the surface that is pushed on; without `loaded`, that is every boundary face that is not held.
+
+    Cells keep the file's order, counted from 0 over its hexahedra. Points that no hexahedron uses are dropped; cells of
+    lower dimension only serve to select. Nothing is repaired: raises InputError that names a cell which is not a linear
+    hexahedron, inverted (its nodes not in VTK order) or degenerate, a part that is not held, and a wrong selection.
+    """
+    path = Path(path)
+    file = _read(path)
+    try:
+        cells, points = _hexahedra(file), file.points * float(scale)
+        used, place = np.unique(cells, return_inverse=True)
+        HexMesh(
+            points, cells, np.zeros(len(points), bool)
+        )  # so that an error names the file's own node numbers
+        mesh = HexMesh(points[used], place.reshape(-1, 8), np.zeros(len(used), bool))
+        names = _names(file, used)
+        mesh = dataclasses.replace(
+            mesh,
+            fixed=mesh.fixed if fixed is None else select(fixed, mesh, names, "mesh.fixed"),
+            loaded=None if loaded is None else select(loaded, mesh, names, "mesh.loaded"),
+        )
+        _check_held(mesh)
+        if not len(mesh.free_faces):
+            raise InputError(
+                f"mesh.loaded = '{loaded}' holds no free boundary face, with all its four nodes selected and one of them not fixed"
+            )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return mesh
+
+
+def _read(path):
+    """meshio's mesh. Raises InputError where meshio fails, and where it would leave out cells with a mere warning."""
+    if not path.is_file():
+        raise InputError(f"no mesh file {path}; mesh.file is relative to the scene file")
+    if path.suffix == ".vtu" and path.read_bytes().count(b"<Piece") > 1:
+        raise InputError(
+            f"{path} has several pieces, of which meshio 5.3 reads one; merge them (ParaView: Merge Blocks) and save again"
+        )
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            file = meshio.read(path)
+    # each of its readers fails in its own way on a damaged file, and some leave by sys.exit
+    except (Exception, SystemExit) as error:
+        words = (
+            said.getvalue() if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
+        )
+        raise InputError(
+            f"{path} cannot be read as a mesh ({' '.join(words.split())}); save it as .vtu, .msh or .inp"
+        ) from None
+    unknown = re.search(r"cannot handle \(type (\d+)\)", said.getvalue())
+    if unknown:
+        kind = {"11": "voxels"}.get(unknown[1], f"cells of VTK type {unknown[1]}")
+        raise InputError(
+            f"{path} holds {kind}, which are not read; save its cells as hexahedra (VTK type 12)"
+        )
+    return file
+
+
+def _hexahedra(file):
+    """(E, 8) point numbers of every hexahedron. Raises InputError naming the first solid cell of another type."""
+    if file.points.ndim != 2 or file.points.shape[1] != 3:
+        raise InputError(
+            f"the file's points have shape {file.points.shape}; a solid needs three coordinates each"
+        )
+    first = 0
+    for block in file.cells:
+        if block.type != "hexahedron" and block.dim > 2:
+            nodes = np.asarray(block.data[0]).tolist()
+            remedy = (
+                "save it with linear cells"
+                if block.type.startswith("hexahedron")
+                else "mesh it with hexahedra"
+            )
+            raise InputError(
+                f"cell {first} of the file (nodes {nodes}) is a {block.type}, one of {len(block.data)}; the solver takes 8-node hexahedra only: {remedy}"
+            )
+        first += len(block.data)
+    blocks = [np.asarray(block.data) for block in file.cells if block.type == "hexahedron"]
+    if not sum(map(len, blocks)):
+        kinds = (
+            ", ".join(f"{len(block.data)} {block.type}" for block in file.cells)
+            or "no cells at all"
+        )
+        raise InputError(f"the file has no hexahedron ({kinds}); save the solid cells too")
+    cells = np.concatenate(blocks).astype(int)
+    wrong = np.flatnonzero(((cells < 0) | (cells >= len(file.points))).any(axis=1))
+    if wrong.size:
+        raise InputError(
+            f"cell {wrong[0]} uses nodes {cells[wrong[0]].tolist()}, but the file has {len(file.points)} points; it is damaged"
+        )
+    return cells
+
+
+def _names(file, used):
+    """{name: nodes}: nodes(test) gives the (N,) bool nodes, among `used`, whose values under that name pass `test`."""
+    points = np.arange(len(file.points))
+    names = {}
+
+    def by_points(values):
+        return lambda test: test(np.asarray(values))[used]
+
+    def by_cells(blocks):  # one array of values a block; a node belongs to every cell around it
+
+        def nodes(test):
+            chosen = [
+                block.data[test(np.asarray(own))].ravel() for block, own in zip(file.cells, blocks)
+            ]
+            return np.isin(points, np.concatenate(chosen))[used]
+
+        return nodes
+
+    for name, rows in file.point_sets.items():
+        names[name] = by_points(np.isin(points, rows))
+    for name, rows in file.cell_sets.items():
+        if name != "gmsh:bounding_entities":  # meshio's own bookkeeping
+            names.setdefault(
+                name,
+                by_cells(
+                    [
+                        np.isin(np.arange(len(block.data)), own)
+                        for block, own in zip(file.cells, rows)
+                    ]
+                ),
+            )
+    for (
+        name,
+        group,
+    ) in file.field_data.items():  # Gmsh 2 has its physical groups as (tag, dimension)
+        if "gmsh:physical" in file.cell_data and np.size(group) == 2:
+            tag, dimension = np.ravel(group)
+            tags = zip(file.cells, file.cell_data["gmsh:physical"])
+            names.setdefault(
+                name, by_cells([(own == tag) & (block.dim == dimension) for block, own in tags])
+            )
+    for name, values in file.point_data.items():
+        if np.ndim(values) == 1:
+            names.setdefault(name, by_points(values))
+    for name, blocks in file.cell_data.items():
+        if all(np.ndim(own) == 1 for own in blocks):
+            names.setdefault(name, by_cells(blocks))
+    return names
+
+
+def _check_held(mesh):
+    """Raises InputError if a connected part of the mesh has no fixed node: it would fly away."""
+    corner = np.repeat(mesh.cells[:, :1], 8, axis=1).ravel()
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(mesh.cells.size), (corner, mesh.cells.ravel())), (mesh.n_nodes, mesh.n_nodes)
+    )
+    parts, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    loose = np.setdiff1d(np.arange(parts), label[mesh.fixed])
+    if loose.size:
+        cells = np.flatnonzero(label[mesh.cells[:, 0]] == loose[0])
+        where = (
+            "the mesh"
+            if parts == 1
+            else f"a part of {len(cells)} cells (cell {cells[0]} is one; the mesh has {parts} parts)"
+        )
+        raise InputError(
+            f"{where} has no fixed node and would fly away; give mesh.fixed, such as 'z min', or merge the file's duplicate nodes"
+        )

@@ -1,0 +1,1 @@
+"""Solvers: internal forces, explicit time integration, states of rest."""

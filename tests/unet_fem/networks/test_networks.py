@@ -1,0 +1,267 @@
+"""The networks: the paper's sizes, where they look, and that they compute the same wherever they run."""
+
+import keras
+import numpy as np
+import pytest
+
+from fem.errors import InputError
+from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.layers import float32_twin
+from unet_fem.networks.linear import linear_regression
+from unet_fem.networks.unet import unet
+
+SMALL = (9, 9, 5)
+
+
+def forces(*shape, seed=0):
+    return np.random.default_rng(seed).normal(size=shape).astype("float32")
+
+
+def small_mask(grid=SMALL, seed=1):
+    return np.random.default_rng(seed).random(grid) > 0.4
+
+
+def build(name, grid=SMALL, **options):
+    """A network with random biases, so that what padding adds shows, and its forces for a batch of two."""
+    keras.utils.set_random_seed(0)
+    if name == "unet":
+        model, x = unet(grid, 4, **options), forces(2, *grid, 3)
+    else:
+        cells = (grid[0] // 4) * (grid[1] // 4) * (grid[2] // 3)
+        model, x = cnn_lstm(grid, 2 * cells, 3, **options), forces(2, 3, *grid, 3)
+    model.set_weights(
+        [w + 0.1 * forces(*w.shape, seed=n) for n, w in enumerate(model.get_weights())]
+    )
+    return model, x
+
+
+@pytest.fixture
+def bfloat16():
+    keras.config.set_dtype_policy("mixed_bfloat16")
+    yield
+    keras.config.set_dtype_policy("float32")
+
+
+@pytest.mark.parametrize(
+    "units, steps, parameters",
+    [
+        (64, 2, 1_219_235),
+        (128, 2, 2_501_155),
+        (256, 2, 5_261_603),
+        (512, 2, 11_568_931),
+        (1024, 2, 27_329_315),
+        (512, 3, 11_568_931),
+        (512, 4, 11_568_931),
+    ],
+)
+def test_cnn_lstm_has_the_papers_parameters(units, steps, parameters):
+    with keras.StatelessScope(initialize_variables=False):  # counts without allocating
+        model = cnn_lstm(units=units, steps=steps)
+    assert model.count_params() == parameters
+    assert model.input_shape == (None, steps, 17, 17, 8, 3)
+    assert model.output_shape == (None, 17, 17, 8, 3)
+
+
+def test_unet_has_1780611_parameters():
+    model = unet()
+    assert model.count_params() == 1_780_611
+    assert model.input_shape == model.output_shape == (None, 17, 17, 8, 3)
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+@pytest.mark.parametrize("grid", [(9, 9, 5), (13, 11, 7), (8, 8, 6), (7, 10, 4)])
+def test_graph_mode_equals_eager_on_any_grid(name, grid):
+    model, x = build(name, grid)
+    eager = keras.ops.convert_to_numpy(model(x))
+    assert eager.shape == (2, *grid, 3)
+    np.testing.assert_allclose(model.predict(x, verbose=0), eager, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_paper_grid_in_graph_mode_equals_eager(name):
+    model, x = build(name, (17, 17, 8))
+    np.testing.assert_allclose(model.predict(x, verbose=0), model(x), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_saved_model_is_whole(name, tmp_path):
+    model, x = build(name, mask=small_mask(), force_scale=0.3, displacement_scale=1.7)
+    model.save(tmp_path / "model.keras")
+    loaded = keras.models.load_model(tmp_path / "model.keras")
+    np.testing.assert_array_equal(loaded(x), model(x))
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_layer_names_do_not_depend_on_what_was_built_before(name):
+    first, second = build(name)[0], build(name)[0]
+    assert [layer.name for layer in first.layers] == [layer.name for layer in second.layers]
+    assert first.layers[-1].name == "displacement"
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_fixed_and_void_nodes_are_exactly_zero(name):
+    mask = small_mask()
+    model, x = build(name, mask=mask)
+    y = keras.ops.convert_to_numpy(model(x))
+    assert np.all(y[:, ~mask] == 0)
+    assert np.all(np.any(y[:, mask] != 0, axis=-1))
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_scales_are_those_of_force_and_displacement(name):
+    plain, x = build(name)
+    scaled, _ = build(name, force_scale=4.0, displacement_scale=0.5)
+    np.testing.assert_allclose(scaled(4 * x), 0.5 * plain(x), rtol=1e-5, atol=1e-6)
+
+
+def test_mask_of_another_grid_is_refused():
+    with pytest.raises(InputError, match=r"\(9, 9, 4\).*\(9, 9, 5\)"):
+        unet(SMALL, 4, mask=np.ones((9, 9, 4)))
+
+
+def layer_output(model, x, name):
+    return keras.ops.convert_to_numpy(keras.Model(model.input, model.get_layer(name).output)(x))
+
+
+def test_pooling_is_anchored_at_the_loaded_surface():
+    """Of 8 layers the top six are pooled. The convolution reaches one layer further: only the deepest is unseen."""
+    model, x = build("cnn_lstm", (17, 17, 8))
+    rest = layer_output(model, x, "pool")
+    changed = []
+    for k in range(8):
+        pushed = x.copy()
+        pushed[:, :, :, :, k] += 1
+        changed.append(
+            np.any(layer_output(model, pushed, "pool") != rest, axis=(0, 1, 2, 4)).tolist()
+        )
+    assert changed[0] == [False, False]
+    assert changed[1] == [True, False]  # by the convolution at layer 2
+    assert changed[2:4] == [[True, False]] * 2
+    assert changed[4:6] == [[True, True]] * 2  # neighbours across the cut between 2..4 and 5..7
+    assert changed[6:8] == [[False, True]] * 2
+
+
+def test_upsampled_block_is_anchored_at_the_loaded_surface():
+    model, x = build("cnn_lstm", (17, 17, 8))
+    block = layer_output(model, x, "pad_z")
+    assert block.shape == (2, 17, 17, 8, 4)
+    assert np.all(block[:, :, :, :2] == 0)
+    assert np.all(block[:, :16, :16, 2:] != 0)
+
+
+def test_unet_pools_odd_depth_from_the_loaded_surface():
+    """Of 5 layers the top two are pooled together; two convolutions bring in the two below them, not the deepest."""
+    model, x = build("unet")
+    top = layer_output(model, x, "pool")[:, :, :, -1]
+    for k in range(5):
+        pushed = x.copy()
+        pushed[:, :, :, k] += 1
+        assert np.any(layer_output(model, pushed, "pool")[:, :, :, -1] != top) == (k >= 1)
+
+
+def test_displacement_is_that_of_the_last_step():
+    """The skip connection carries the last step: with the LSTM silenced no other step matters."""
+    model, x = build("cnn_lstm")
+    model.get_layer("bilstm").set_weights([0 * w for w in model.get_layer("bilstm").get_weights()])
+    earlier, last = x.copy(), x.copy()
+    earlier[:, :-1] += 1
+    last[:, -1] += 1
+    np.testing.assert_array_equal(model(earlier), model(x))
+    assert np.any(np.not_equal(model(last), model(x)))
+
+
+def test_units_that_do_not_fill_the_block_name_those_that_do():
+    with pytest.raises(InputError, match=r"2 \* 500 .* 4 x 4 x 2 = 32 cells; use 496 or 512 units"):
+        cnn_lstm(units=500)
+    with pytest.raises(InputError, match="use 9 units"):
+        cnn_lstm((12, 12, 5), units=8)
+    with pytest.raises(InputError, match="3 x 17 x 8 is too small"):
+        cnn_lstm((3, 17, 8))
+
+
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_mixed_precision_ends_in_float32_and_has_a_float32_twin(name, bfloat16):
+    mixed, x = build(name, mask=small_mask())
+    convolutions = [layer.compute_dtype for layer in mixed.layers if "conv" in layer.name]
+    assert convolutions[0] == "bfloat16" and convolutions[-1] == "float32"
+    assert mixed(x).dtype == "float32"
+    twin = float32_twin(mixed)
+    assert {layer.compute_dtype for layer in twin.layers[1:]} == {"float32"}  # after the input
+    keras.config.set_dtype_policy("float32")
+    rebuilt, _ = build(name, mask=small_mask())
+    np.testing.assert_array_equal(twin(x), rebuilt(x))
+    np.testing.assert_allclose(mixed(x), twin(x), atol=0.05)
+
+
+def linear_problem(samples, steps=None, noise=0.0):
+    """Samples of a known linear map from four loaded nodes to the free nodes of a 5 x 4 x 3 grid."""
+    mask = small_mask((5, 4, 3))
+    window = () if steps is None else (steps,)
+    force = np.zeros((samples, *window, 5, 4, 3, 3), "float32")
+    force[..., 1:3, 1:3, 2, :] = forces(samples, *window, 2, 2, 3)
+    X = force.reshape(samples, -1)
+    kernel = forces(X.shape[1], 5 * 4 * 3 * 3, seed=2)
+    Y = (X.astype("float64") @ kernel).reshape(samples, 5, 4, 3, 3) * mask[..., None]
+    return force, Y + noise * forces(*Y.shape, seed=3) * mask[..., None], mask
+
+
+@pytest.mark.parametrize("steps", [None, 2])
+def test_linear_regression_recovers_a_linear_map(steps, tmp_path):
+    force, displacement, mask = linear_problem(60, steps)
+    model = linear_regression(force[:40], displacement[:40], mask, ridge=0.0)
+    assert model.input_shape == (None, *force.shape[1:])
+    predicted = model.predict(force[40:], verbose=0)
+    np.testing.assert_allclose(predicted, displacement[40:], atol=1e-5)
+    assert np.all(predicted[:, ~mask] == 0)
+    assert np.all(model.predict(0 * force, verbose=0) == 0)
+    model.save(tmp_path / "linear.keras")
+    np.testing.assert_array_equal(
+        keras.models.load_model(tmp_path / "linear.keras")(force), model(force)
+    )
+
+
+@pytest.mark.parametrize(
+    "samples", [8, 40]
+)  # fewer and more than the 12 loaded components: dual and primal
+def test_linear_regression_is_the_ridge_solution(samples):
+    force, displacement, mask = linear_problem(samples, noise=0.1)
+    model = linear_regression(force, displacement, mask, ridge=0.03)
+    X = force.reshape(samples, -1).astype("float64")
+    X = X[:, X.any(axis=0)]
+    Y = displacement[:, mask].reshape(samples, -1)
+    penalty = 0.03 * np.linalg.norm(X, 2) ** 2
+    kernel = np.linalg.solve(X.T @ X + penalty * np.eye(X.shape[1]), X.T @ Y)
+    np.testing.assert_allclose(model.get_layer("regression").get_weights()[0], kernel, atol=1e-5)
+    np.testing.assert_allclose(
+        model.predict(force, verbose=0)[:, mask].reshape(samples, -1), X @ kernel, atol=1e-5
+    )
+
+
+def test_linear_regression_without_ridge_has_the_least_norm():
+    force, displacement, mask = linear_problem(5)
+    force, displacement = np.concatenate(3 * [force]), np.concatenate(3 * [displacement])
+    model = linear_regression(force, displacement, mask, ridge=0.0)
+    X, Y = force[:, 1:3, 1:3, 2].reshape(15, -1), displacement[:, mask].reshape(15, -1)
+    least = np.linalg.pinv(X.astype("float64"), rcond=1e-10) @ Y
+    np.testing.assert_allclose(model.get_layer("regression").get_weights()[0], least, atol=1e-5)
+
+
+def test_linear_regression_keeps_the_best_ridge():
+    force, displacement, mask = linear_problem(60, noise=1.0)
+    train, validation = (force[:14], displacement[:14]), (force[14:], displacement[14:])
+    ridges = [1e-8, 1e-2, 1e-1, 10.0]
+    errors = []
+    for ridge in ridges:
+        model = linear_regression(*train, mask, ridge)
+        errors.append(np.sum((model.predict(validation[0], verbose=0) - validation[1]) ** 2))
+    best = ridges[int(np.argmin(errors))]
+    assert best not in (1e-8, 10.0)
+    assert linear_regression(*train, mask, ridges, validation).name == f"linear_ridge_{best:g}"
+
+
+def test_linear_regression_refuses_what_it_cannot_fit():
+    force, displacement, mask = linear_problem(5)
+    with pytest.raises(InputError, match="2 values of ridge"):
+        linear_regression(force, displacement, mask, [0.1, 0.2])
+    with pytest.raises(InputError, match="all 5 training forces are zero"):
+        linear_regression(0 * force, displacement, mask)

@@ -1,0 +1,279 @@
+"""The surrogate at run time: its window, its checks, and that it needs and leaks nothing."""
+
+import os
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import keras
+import numpy as np
+import pytest
+
+from fem.data.dataset import open_dataset
+from fem.errors import InputError
+from unet_fem.deployment import tflite as lite
+from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.unet import unet
+from unet_fem.runtime.__main__ import main
+from unet_fem.runtime.surrogate import Surrogate, force_size, write_surrogate
+from unet_fem.training import losses
+from unet_fem.training.samples import windows
+
+ROOT = Path(__file__).parents[3]
+
+
+def network(dataset, kind, displacement_scale=0.05):
+    keras.utils.set_random_seed(0)
+    scaled = {"force_scale": 0.05, "displacement_scale": displacement_scale, "mask": dataset.free}
+    return (
+        unet(dataset.grid, 2, **scaled)
+        if kind == "unet"
+        else cnn_lstm(dataset.grid, 4, 3, **scaled)
+    )
+
+
+def write(path, model, dataset, variant="float32"):
+    write_surrogate(
+        path,
+        lite.export(model, variant),
+        mask=dataset.free,
+        points=dataset.points.reshape(-1, 3),
+        faces=dataset.mesh.grid_index[dataset.mesh.boundary_faces],
+        interval=dataset.scene.frames.interval,
+        largest_force=force_size(dataset.read("train")["force"]),
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(tiny_dataset):
+    return open_dataset(tiny_dataset)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("surrogates")
+
+
+@pytest.fixture(scope="module")
+def model(dataset):
+    return network(dataset, "cnn_lstm")
+
+
+@pytest.fixture(scope="module")
+def file(dataset, model, folder):
+    return write(folder / "cnn_lstm.tflite", model, dataset)
+
+
+@pytest.fixture(scope="module")
+def force(dataset):
+    return dataset.read("train")["force"]  # (I, F, nx, ny, nz, 3)
+
+
+def test_steps_see_the_windows_of_training(file, model, force):
+    surrogate = Surrogate(file)
+    answers = []
+    for interaction in force:
+        surrogate.reset()
+        answers += [surrogate.step(field) for field in interaction]
+    expected = np.asarray(model(windows(force, 3)))
+    np.testing.assert_allclose(answers, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_unet_needs_no_window(dataset, folder, force):
+    unet_model = network(dataset, "unet")
+    surrogate = Surrogate(
+        write(folder / "unet.tflite", unet_model, dataset), rate=1000 / 3
+    )  # any rate will do
+    expected = np.asarray(unet_model(force[0]))
+    np.testing.assert_allclose(
+        [surrogate.step(f) for f in force[0]], expected, atol=1e-5 * np.abs(expected).max()
+    )
+
+
+def test_at_a_rate_the_window_holds_forces_one_interval_apart(dataset, file, model):
+    rate, apart = 20.0, 4  # calls in the dataset's 0.2 s
+    calls = np.random.default_rng(0).normal(0, 0.01, (11, *dataset.grid, 3)).astype("float32")
+    surrogate = Surrogate(file, rate=rate)
+    answers = [surrogate.step(field) for field in calls]
+    past = np.concatenate([np.zeros_like(calls[: 2 * apart]), calls])  # no force before the start
+    seen = np.stack(
+        [past[:11], past[apart : apart + 11], past[2 * apart :]], axis=1
+    )  # (11, 3, nx, ny, nz, 3)
+    expected = np.asarray(model(seen))
+    np.testing.assert_allclose(answers, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_rate_must_fit_the_interval(file):
+    with pytest.raises(InputError, match="at 7 Hz the 0.2 s .* use a multiple of 5 Hz"):
+        Surrogate(file, rate=7.0)
+    for wrong in ({"rate": 0.0}, {"rate": -5.0}, {"threads": 0}):
+        with pytest.raises(InputError, match="must be positive"):
+            Surrogate(file, **wrong)
+
+
+def test_out_is_written_and_returned(file, force):
+    out = np.empty_like(force[0, 0])
+    surrogate, other = Surrogate(file), Surrogate(file)
+    assert surrogate.step(force[0, 1], out) is out
+    np.testing.assert_array_equal(out, other.step(force[0, 1].astype(float)))
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.zeros((4, 5, 3, 3)), np.zeros((5, 5, 3)), np.zeros((5, 5, 3, 3), complex), "push"]
+)
+def test_wrong_force_is_an_error_that_names_the_shape(file, wrong):
+    with pytest.raises(InputError, match=r"give real numbers of shape \(5, 5, 3, 3\)"):
+        Surrogate(file).step(wrong)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_force_that_is_not_finite_is_named_and_leaves_the_window_alone(file, force, value):
+    surrogate, other = Surrogate(file), Surrogate(file)
+    for s in (surrogate, other):
+        s.step(force[0, 1])
+    bad = force[0, 2].copy()
+    bad[1, 2, 0, 1] = value
+    with pytest.raises(InputError, match=r"at \(1, 2, 0, 1\)"):
+        surrogate.step(bad)
+    np.testing.assert_array_equal(surrogate.step(force[0, 2]), other.step(force[0, 2]))
+
+
+def test_force_beyond_training_sets_the_flag_and_warns_once(file, force):
+    surrogate = Surrogate(file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for field in force.reshape(-1, *force.shape[2:]):  # all of training is inside
+            surrogate.step(field)
+            assert not surrogate.outside_training_range
+    strongest = force.reshape(-1, *force.shape[2:])[
+        np.linalg.norm(force.sum((2, 3, 4)), axis=-1).argmax()
+    ]
+    with pytest.warns(RuntimeWarning, match="leaves the training range"):
+        surrogate.step(1.2 * strongest)
+    assert surrogate.outside_training_range
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        surrogate.step(1.2 * strongest)
+        assert surrogate.outside_training_range
+        surrogate.step(strongest)
+        assert not surrogate.outside_training_range
+    spread = np.full_like(
+        strongest, 1.2 * force_size(force)[0] / strongest[..., 0].size
+    )  # weak at each node
+    with pytest.warns(RuntimeWarning):
+        Surrogate(file).step(spread)
+
+
+def test_volume_is_that_of_the_loss_and_raises_the_alarm(dataset, folder, force):
+    wild = Surrogate(
+        write(
+            folder / "wild.tflite", network(dataset, "cnn_lstm", displacement_scale=20.0), dataset
+        )
+    )
+    points, faces = (
+        dataset.points.reshape(-1, 3),
+        dataset.mesh.grid_index[dataset.mesh.boundary_faces],
+    )
+    assert wild.rest_volume == pytest.approx(dataset.mesh.volume(), rel=1e-5)
+    with pytest.warns(RuntimeWarning, match="predicted volume is off by"):
+        displacement = wild.step(force[0, -1])
+    expected = float(losses.deformed_volume(displacement[None], points, faces)[0])
+    assert wild.volume == pytest.approx(expected, rel=1e-4)
+    assert wild.volume_alarm and abs(expected / wild.rest_volume - 1) > 0.07
+    wild.reset()
+    assert not wild.volume_alarm and wild.volume == wild.rest_volume
+
+
+def test_small_displacements_raise_no_volume_alarm(file, force):
+    surrogate = Surrogate(file)
+    surrogate.step(np.zeros_like(force[0, 0]))
+    assert not surrogate.volume_alarm and not surrogate.outside_training_range
+
+
+def test_other_files_are_refused(tmp_path, model, tiny_dataset):
+    bare = tmp_path / "bare.tflite"
+    bare.write_bytes(lite.export(model, "float32"))
+    for path in (bare, tiny_dataset):
+        with pytest.raises(InputError, match="is not a 'unet-fem surrogate 1' file"):
+            Surrogate(path)
+    with pytest.raises(InputError, match="no surrogate"):
+        Surrogate(tmp_path / "none.tflite")
+
+
+def test_a_failed_write_leaves_the_old_file(dataset, file, model, monkeypatch):
+    before = file.read_bytes()
+    monkeypatch.setattr(os, "fsync", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError):
+        write(file, model, dataset)
+    assert file.read_bytes() == before
+    assert not list(file.parent.glob(".*partial"))
+
+
+def python(code, *arguments):
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    result = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=environment,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
+
+
+def test_import_is_light():
+    code = """
+import sys, time
+start = time.process_time()
+import unet_fem.runtime
+print(time.process_time() - start)
+print([name for name in ("tensorflow", "keras", "h5py", "scipy", "tf_keras") if name in sys.modules] or "light")
+"""
+    runs = [python(code) for _ in range(3)]
+    assert {words[1] for words in runs} == {"light"}
+    assert min(float(words[0]) for words in runs) < 0.5
+
+
+def test_thousands_of_steps_do_not_grow(file):
+    code = """
+import os, sys, tracemalloc
+import numpy as np
+from unet_fem.runtime import Surrogate
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+surrogate = Surrogate(sys.argv[1], rate=1000.0)
+force = np.random.default_rng(0).normal(0, 1e-3, (*surrogate.grid, 3)).astype("float32")
+out = np.empty_like(force)
+def soak(count):
+    for _ in range(count):
+        surrogate.step(force, out)
+soak(1000)
+before = resident()
+soak(5000)
+print(resident() - before)
+tracemalloc.start()
+soak(10)
+tracemalloc.reset_peak()
+held = tracemalloc.get_traced_memory()[0]
+soak(100)
+print(tracemalloc.get_traced_memory()[1] - held)
+"""
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("needs /proc")
+    grown, allocated = map(int, python(code, file))
+    assert grown < 300_000
+    assert allocated < 5_000  # array headers only: no copy of a field is made
+
+
+def test_replay_reports_its_rates(file, tiny_dataset, capsys):
+    start = time.perf_counter()
+    main([str(file), str(tiny_dataset), "--rate", "50", "100"])
+    text = capsys.readouterr().out
+    assert "50 Hz: achieved" in text and "100 Hz: achieved" in text and "deadlines" in text
+    assert time.perf_counter() - start > 0.8  # two replays of 0.4 s, in real time
+    with pytest.raises(SystemExit):
+        main([str(file), str(tiny_dataset), "--interaction", "99"])
+    assert "no test interaction 99" in capsys.readouterr().err

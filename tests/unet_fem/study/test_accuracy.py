@@ -1,0 +1,274 @@
+"""Errors of the competitors, their intervals, the regressions and the paper's figures, on 4 x 4 x 2 cells and made-up numbers."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fem.data.dataset import open_dataset
+from fem.errors import InputError
+from unet_fem.networks import ridge
+from unet_fem.networks.pod import linear, predict, reduced, truncated
+from unet_fem.study.measure import accuracy, statistics
+from unet_fem.study.regressions import _action
+from unet_fem.study.report import paper_figures
+from unet_fem.training import figures
+from unet_fem.training.samples import Samples, load_samples
+
+MASK = np.zeros((3, 3, 2), bool)
+MASK[1:, :, 1] = True
+
+
+def made_up(count, seed, quadratic=0.0, largest=1.0, frames=2):
+    """Samples on a 3 x 3 x 2 grid: an answer of rank 4 to the last two forces and to their squares."""
+    fixed, rng = np.random.default_rng(7), np.random.default_rng(seed)
+    force = np.zeros((count, frames, *MASK.shape, 3), "float32")
+    force[:, :, 1, 1:, 1] = rng.uniform(-largest, largest, (count, frames, 2, 3))
+    f = force[:, :, 1, 1:, 1].reshape(count, -1).astype(float)
+    z = f @ fixed.normal(size=(f.shape[1], 4))
+    u = z @ fixed.normal(size=(4, 18)) + quadratic * f**2 @ fixed.normal(
+        size=(f.shape[1], 4)
+    ) @ fixed.normal(size=(4, 18))
+    displacement = np.zeros((count, *MASK.shape, 3), "float32")
+    displacement[:, MASK] = u.reshape(count, -1, 3)
+    return Samples(force, displacement, np.arange(count), np.zeros(count, bool), np.ones(count))
+
+
+def error(model, samples):
+    return np.linalg.norm(predict(model, samples.force) - samples.displacement) / np.linalg.norm(
+        samples.displacement
+    )
+
+
+@pytest.fixture(scope="module")
+def linear_case():
+    train, validation = made_up(60, 1), made_up(20, 2)
+    full = linear(train, validation, MASK)
+    return full, *reduced(full, train, validation, 6), train, validation
+
+
+def test_pod_with_all_modes_of_a_linear_response_finds_it(linear_case):
+    full, reduced, _, _, _ = linear_case
+    unseen = made_up(30, 3)
+    assert error(full, unseen) < 1e-4 and error(reduced, unseen) < 1e-4
+    assert reduced.parameters < full.parameters
+    assert 0.05 < error(truncated(reduced, 2), unseen) < error(truncated(reduced, 1), unseen)
+
+
+def test_pod_is_the_linear_regression_projected_on_its_modes(linear_case):
+    full, reduced, _, _, validation = linear_case
+    answer = predict(full, validation.force)[:, MASK].reshape(len(validation), -1)
+    modes = truncated(reduced, 3).modes
+    np.testing.assert_allclose(modes @ modes.T, np.eye(3), atol=1e-6)
+    projected = predict(truncated(reduced, 3), validation.force)[:, MASK].reshape(
+        len(validation), -1
+    )
+    np.testing.assert_allclose(
+        projected, answer @ modes.T @ modes, atol=1e-5 * np.abs(answer).max()
+    )
+
+
+def test_quadratic_terms_find_a_quadratic_part_and_carry_it_beyond_the_training_forces():
+    train, validation, strong = (
+        made_up(200, 1, 0.1),
+        made_up(60, 2, 0.1),
+        made_up(40, 3, 0.1, largest=1.5),
+    )
+    full = linear(train, validation, MASK)
+    plain, quadratic = reduced(full, train, validation, 8)
+    assert plain.family == "POD" and quadratic.family == "POD + quadratic"
+    assert error(quadratic, validation) < 0.1 * error(plain, validation)
+    assert error(quadratic, strong) < 0.1 * error(plain, strong)
+
+
+def test_no_force_moves_nothing_and_held_nodes_stay(linear_case):
+    *models, _, validation = linear_case
+    for model in models[:3]:
+        assert not predict(model, np.zeros_like(validation.force)).any()
+        assert not predict(model, validation.force)[:, ~MASK].any()
+
+
+def test_a_frame_of_the_timed_action_is_the_answer_to_the_window(linear_case):
+    full, _, quadratic, _, validation = linear_case
+    for model in (full, quadratic):
+        action = _action(model, 2, validation.force[0, 0])
+        action()
+        answer = action()
+        twice = np.stack([validation.force[0, 0]] * 2)[None]
+        np.testing.assert_allclose(answer, predict(model, twice)[0], atol=1e-6)
+
+
+def test_linear_regression_is_that_of_the_networks(linear_case):
+    from unet_fem.networks.linear import linear_regression
+
+    full, _, _, train, validation = linear_case
+    keras = linear_regression(
+        train.force,
+        train.displacement,
+        MASK,
+        ridge.RIDGES,
+        (validation.force, validation.displacement),
+    )
+    np.testing.assert_allclose(
+        predict(full, validation.force), np.asarray(keras(validation.force)), atol=1e-5
+    )
+
+
+def test_interval_holds_the_truth_in_about_95_of_100_cases():
+    rng, inside = np.random.default_rng(1), 0
+    for _ in range(100):
+        truth = rng.uniform(1, 3, 40)
+        inside += (
+            (found := statistics.interval((truth * rng.uniform(0, 0.02, 40))[None], truth))["low"]
+            <= 0.1
+            <= found["high"]
+        )
+    assert 86 <= inside <= 100
+
+
+def test_a_paired_difference_is_far_surer_than_the_errors_themselves():
+    rng = np.random.default_rng(2)
+    truth = rng.uniform(1, 10, 50)
+    base = truth * rng.lognormal(-3, 1, 50)
+    better = base * rng.uniform(0.75, 0.87, 50)
+    own, found = (
+        statistics.interval(better[None], truth),
+        statistics.difference(better[None], base[None], truth),
+    )
+    assert found["low"] < found["difference"] < found["high"] < 0
+    assert found["high"] - found["low"] < 0.25 * (own["high"] - own["low"])
+    assert found["change"] == pytest.approx(-0.1, abs=0.02)
+
+
+def test_equal_models_differ_by_nothing_and_one_interaction_has_no_interval():
+    truth = np.arange(1.0, 6.0)
+    same = statistics.difference(truth[None] / 9, truth[None] / 9, truth)
+    assert (same["difference"], same["low"], same["high"]) == (0, 0, 0)
+    assert statistics.interval(np.array([[0.04]]), np.array([4.0])) == {
+        "relative_l2": pytest.approx(0.1),
+        "low": None,
+        "high": None,
+    }
+
+
+def test_seeds_count_by_the_mean_of_their_errors():
+    truth = np.ones(10)
+    seeds = np.array([0.01 * truth, 0.09 * truth])
+    assert statistics.interval(seeds, truth)["relative_l2"] == pytest.approx((0.1 + 0.3) / 2)
+
+
+def test_error_by_depth_is_that_of_the_layer(tiny_dataset):
+    dataset = open_dataset(tiny_dataset)
+    truth = load_samples(dataset, "test", None).displacement
+    wrong = truth.copy()
+    top = dataset.free.copy()
+    top[:, :, :-1] = False
+    wrong[:, top] += np.array([0.3, 0.0, 0.4], "float32")
+    found = figures.by_depth(dataset, wrong, truth)
+    assert found["depth"][0] == 0 and found["mean_mm"][0] == pytest.approx(0.5, rel=1e-5)
+    assert found["mean_mm"][1:] == pytest.approx([0] * (len(found["depth"]) - 1))
+
+
+def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(tiny_dataset):
+    dataset = open_dataset(tiny_dataset)
+    samples = load_samples(dataset, "test", None)
+    number = int(samples.interaction[0])
+    found = accuracy.judged(
+        1.1 * samples.displacement, dataset, samples, {number: samples.displacement * 1.2}
+    )
+    assert found["test"] == pytest.approx(0.1, rel=1e-4) and found["hard"] == pytest.approx(
+        0.1, rel=1e-4
+    )
+    assert found["reference"][0][0] == number
+    assert np.sqrt(np.divide(*found["reference"][0][1])) == pytest.approx(0.1 / 1.2, rel=1e-4)
+    json.dumps(found, allow_nan=False)
+    with pytest.raises(InputError, match="not finite"):
+        accuracy.judged(np.full_like(samples.displacement, np.nan), dataset, samples, {})
+
+
+def made_up_accuracy(numbers=12):
+    """Results of the accuracy stage for one arm without and one with, where the second is 10 % better."""
+    rng = np.random.default_rng(3)
+    truth, error = rng.uniform(1, 9, numbers), rng.uniform(0.01, 0.03, (2, numbers))
+    model = {"violation": [0.01] * numbers, "violation_mean": 0.005, "gate_open": 0.25}
+    models = {
+        f"a{n}: {accuracy.KERAS}": model | {"sums": np.stack([error[n] * truth, truth], 1).tolist()}
+        for n in range(2)
+    }
+    models |= {
+        f"b{n}: {accuracy.KERAS}": model
+        | {"sums": np.stack([0.81 * error[n] * truth, truth], 1).tolist()}
+        for n in range(2)
+    }
+    runs = {
+        name.split(":")[0]: {
+            "threshold": 0.02,
+            "train_gate_open": 0.5,
+            "validation_gate_open": None,
+        }
+        for name in models
+    }
+    force = np.arange(1.0, numbers + 1).tolist()
+    violation = [0.01] * 9 + [0.03] * 3
+    return {
+        "models": models,
+        "runs": runs,
+        "numbers": list(range(1, numbers + 1)),
+        "hard": [2, 3],
+        "force": force,
+        "fem_violation": violation,
+    }
+
+
+def test_the_arms_of_the_volume_term_are_compared_in_pairs():
+    arms = [
+        SimpleNamespace(label=label, runs=runs)
+        for label, runs in (
+            ("without", ("a0", "a1")),
+            ("with", ("b0", "b1", "lost")),
+            ("none", ("x",)),
+        )
+    ]
+    found = statistics.physics(
+        SimpleNamespace(physics=arms), json.loads(json.dumps(made_up_accuracy()))
+    )
+    assert [arm["label"] for arm in found] == [
+        "without",
+        "with",
+    ] and "test_difference" not in found[0]
+    for which in ("test", "strong", "hard"):
+        assert found[1][f"{which}_difference"]["change"] == pytest.approx(-0.1, rel=1e-6)
+        assert found[1][f"{which}_difference"]["high"] < 0
+        assert np.mean(found[1]["seeds"][which]) == pytest.approx(found[1][which]["relative_l2"])
+    assert (
+        found[0]["fem_gate_open"] == 0.25
+        and found[0]["train_gate_open"] == 0.5
+        and found[0]["validation_gate_open"] is None
+    )
+    assert statistics.subsets(made_up_accuracy())["strong"].tolist() == [9, 10, 11]
+    figures.plt.close(paper_figures.physics_figure(found))
+
+
+def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset):
+    dataset, source, made = open_dataset(tiny_dataset), tmp_path / "model", []
+    study = SimpleNamespace(folder=tmp_path, fem=SimpleNamespace(reference_safety=0.85))
+    source.write_text("one")
+    for text in ("one", "one", "other"):
+        if source.read_text() != text:
+            source.write_text(text)
+        accuracy._once(study, "name", dataset, source, {}, lambda: made.append(text) or {"x": 1})
+    assert made == ["one", "other"]
+
+
+def test_fields_side_by_side_show_a_hard_interaction(tiny_dataset):
+    dataset = open_dataset(tiny_dataset)
+    test = load_samples(dataset, "test", None)
+    figure = paper_figures.side_by_side(
+        dataset, test, {"half": 0.5 * test.displacement, "exact": test.displacement}
+    )
+    titles = [axis.get_title() for axis in figure.axes]
+    assert any("relative L2 50 %" in title for title in titles) and any(
+        "relative L2 0 %" in title for title in titles
+    )
+    figures.plt.close(figure)

@@ -1,0 +1,215 @@
+"""The converged reference, and the FEM as a competitor at fixed latency."""
+
+import json
+import pickle
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from fem.data.dataset import open_dataset
+from fem.errors import InputError, SolverStopped
+from fem.files import save_arrays
+from fem.mesh.shapes import box, tumour
+from fem.solver.frame_loop import SAFETY, Competitor, FrameLoop, coarse_mesh, longest_step
+from unet_fem.study.measure import fixed_latency, reference
+from unet_fem.study.settings import Fem
+
+FRAME = 0.05  # s, a quarter of the tiny dataset's interval
+
+
+def small_study(folder, data, **fem):
+    fem = {"interactions": (1,), "steps": (5, 120), "frames": (FRAME,)} | fem
+    return SimpleNamespace(folder=folder, fem=Fem(**fem), cnn_lstm="run", network=DataOf(data))
+
+
+class DataOf(NamedTuple):
+    """A study's `network`, of which only the dataset is asked here; it crosses to the worker processes."""
+
+    data: str
+
+    def __call__(self, name):
+        return self
+
+
+@pytest.fixture(scope="module")
+def dataset(tiny_dataset):
+    return open_dataset(tiny_dataset)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory, tiny_dataset):
+    return small_study(tmp_path_factory.mktemp("study"), tiny_dataset)
+
+
+@pytest.fixture(scope="module")
+def truth(study, dataset):
+    return reference.references(study, dataset)[1]
+
+
+def distance(a, b, dataset):
+    return reference.relative_l2({1: reference.sums_of_squares(a, b, dataset)}, [1])
+
+
+def test_reference_stands_still_when_its_step_is_cut_to_a_fifth(study, dataset, truth, tmp_path):
+    finer = small_study(tmp_path, dataset.path, reference_safety=0.17)
+    assert distance(truth, reference.references(finer, dataset)[1], dataset) < 3e-3
+
+
+def test_dataset_is_close_to_the_reference_and_another_interaction_is_not(dataset, truth, study):
+    assert distance(dataset.read("test")["displacement"][0], truth, dataset) < 0.03
+    assert distance(dataset.read("validation")["displacement"][0], truth, dataset) > 0.2
+
+
+def test_finished_references_are_not_computed_again(study, dataset, truth, monkeypatch):
+    monkeypatch.setattr(reference, "on_all_cores", None)
+    np.testing.assert_array_equal(reference.references(study, dataset)[1], truth)
+
+
+def test_an_interaction_whose_reference_stops_is_named_and_left_out(dataset, tmp_path):
+    other = small_study(tmp_path, dataset.path)
+    save_arrays(reference._path(other, dataset, "reference", "test", 1), stopped="inverted cell")
+    result = reference.run(other)
+    assert (
+        result["stopped"] == [1] and result["numbers"] == [] and result["dataset"]["test"] is None
+    )
+    with pytest.raises(InputError, match="no test interaction has a reference"):
+        fixed_latency.run(other)
+
+
+def test_refined_mesh_keeps_shape_fixed_nodes_and_every_second_node():
+    coarse = tumour()
+    fine = reference.refined(coarse)
+    assert fine.n_cells == 8 * coarse.n_cells and np.isclose(fine.volume(), coarse.volume())
+    np.testing.assert_allclose(
+        fine.to_grid(fine.points)[::2, ::2, ::2], coarse.to_grid(coarse.points), atol=1e-12
+    )
+    at_old_nodes = fine.to_grid(fine.fixed[:, None])[::2, ::2, ::2, 0]
+    np.testing.assert_array_equal(at_old_nodes, coarse.to_grid(coarse.fixed[:, None])[..., 0])
+
+
+def test_frames_bring_the_forces_of_the_dataset_bit_for_bit(dataset):
+    forces = fixed_latency.frame_forces(dataset, "test", 1, FRAME)
+    np.testing.assert_array_equal(forces[3::4], dataset.read("test")["force"][0, 1:])
+
+
+def test_frames_must_divide_the_interval_of_the_dataset(dataset):
+    with pytest.raises(InputError, match="0.15 s, which does not divide the 0.2 s"):
+        fixed_latency.frames_between(dataset.scene, 0.15)
+
+
+def test_error_falls_to_that_of_the_ramped_load_as_steps_grow(study, dataset, truth):
+    competitor = lambda steps: Competitor("full", False, FRAME, steps, damping=0.1)  # noqa: E731
+    verdicts = [
+        fixed_latency.judge(study, dataset, competitor(steps), "test", 1) for steps in (5, 20, 120)
+    ]
+    errors = [reference.relative_l2({1: verdict["sums"]}, [1]) for verdict in verdicts]
+    assert errors[0] > 1.5 * errors[1] > 1.5 * errors[2] and errors[2] < 0.02
+    assert (
+        verdicts[0]["mass_scaling"] > verdicts[1]["mass_scaling"] > verdicts[2]["mass_scaling"] == 1
+    )
+
+
+def test_mass_scaling_makes_the_steps_of_a_frame_just_stable(dataset):
+    competitor = Competitor("reduced", False, FRAME, 5)
+    loop = FrameLoop(dataset, competitor)
+    assert np.isclose(SAFETY * loop.solver.critical_step, FRAME / 5, rtol=1e-2)
+    assert np.isclose(np.sqrt(loop.mass_scaling), FRAME / 5 / longest_step(dataset, competitor))
+
+
+def test_a_frame_action_is_the_loop_that_was_judged(study, dataset, truth):
+    competitor = Competitor("reduced", True, FRAME, 5)
+    verdict = fixed_latency.judge(study, dataset, competitor, "test", 1)
+    loop, answer = FrameLoop(dataset, competitor), np.zeros_like(truth)
+    for k, force in enumerate(fixed_latency.frame_forces(dataset, "test", 1, FRAME), 1):
+        answer[-(-k // 4)] = loop(force)  # the last of every four stays
+    assert reference.sums_of_squares(answer, truth, dataset) == verdict["sums"]
+
+
+def test_a_player_goes_on_for_ever_and_does_not_creep_from_round_to_round(dataset):
+    loop, forces = (
+        FrameLoop(dataset, Competitor("full", False, FRAME, 5)),
+        fixed_latency.frame_forces(dataset, "test", 1, FRAME),
+    )
+    answer, peaks = fixed_latency.player(loop, forces), []
+    for _ in range(4):
+        seen = []
+        for _ in range(2 * len(forces)):
+            answer()
+            seen.append(np.abs(loop.solver.u).max())
+        peaks.append(max(seen))
+    assert np.ptp(peaks[1:]) < 1e-3 * peaks[0]
+
+
+def test_a_run_that_stops_is_named_and_is_no_number(study, dataset, truth, monkeypatch):
+    forces = 40 * fixed_latency.frame_forces(dataset, "test", 1, FRAME)
+    monkeypatch.setattr(fixed_latency, "frame_forces", lambda *_: forces)
+    competitor = Competitor("full", False, FRAME, 7)
+    verdict = fixed_latency.judge(study, dataset, competitor, "test", 1)
+    assert verdict["stopped"] in ("crushed cell", "diverged") and "sums" not in verdict
+    point = fixed_latency._point(competitor, {1: verdict}, study, dataset)
+    assert point["test"] is None and point["stopped"][0]["number"] == 1
+
+
+def test_coarse_mesh_takes_linear_fields_and_total_forces_over_exactly():
+    fine = box((8, 6, 4), 1e-3)
+    coarse, A = coarse_mesh(fine)
+    assert coarse.n_cells == 4 * 3 * 2 and coarse.congruent
+    slope = np.random.default_rng(0).normal(size=(3, 3))
+    np.testing.assert_allclose(A @ (coarse.points @ slope), fine.points @ slope, atol=1e-12)
+    force = np.random.default_rng(1).normal(size=(fine.n_nodes, 3))
+    np.testing.assert_allclose((A.T @ force).sum(axis=0), force.sum(axis=0))
+
+
+def test_coarse_tumour_has_the_volume_and_the_free_surface_of_the_fine_one():
+    fine = tumour()
+    coarse, _ = coarse_mesh(fine)
+    cell = coarse.volume() / coarse.n_cells
+    assert abs(coarse.volume() - fine.volume()) <= cell
+    assert np.isclose(coarse.points[~coarse.fixed, 2].max(), fine.points[:, 2].max())
+
+
+def test_a_solver_that_stopped_crosses_from_a_worker_process(study):
+    stop = pickle.loads(pickle.dumps(SolverStopped("diverged", "lower the load")))
+    assert (stop.reason, str(stop)) == ("diverged", "lower the load")
+
+
+def test_the_reference_is_closer_to_half_its_step_than_to_a_finer_mesh(study, dataset, truth):
+    result = json.loads(json.dumps(reference.run(study), allow_nan=False))
+    assert result["numbers"] == result["hard_numbers"] == [1]
+    assert result["dataset"]["test"] == distance(
+        dataset.read("test")["displacement"][0], truth, dataset
+    )
+    assert 0 < result["half_step"]["relative_l2"] < 2e-3
+    assert 0.02 < result["refined"]["relative_l2"] < 0.5 and result["refined"]["stopped"] == []
+    assert (
+        0 < result["refined"]["mean_dilatation"]["relative_l2"] < result["refined"]["relative_l2"]
+    )
+
+
+def test_every_tuned_competitor_is_judged_and_has_an_action(study, dataset, truth):
+    result = json.loads(json.dumps(fixed_latency.run(study), allow_nan=False))
+    points = result["points"]
+    assert {(p["element"], p["coarse"]) for p in points} >= {
+        ("full", False),
+        ("reduced", False),
+    } and any(p["coarse"] for p in points)
+    for point in points:
+        assert (point["mass_scaling"] > 1) == (point["steps"] == 5)  # 120 need none
+        assert (
+            point["test"] == point["hard"] == pytest.approx(np.sqrt(np.divide(*point["sums"]["1"])))
+        )
+    begin = fixed_latency._score(
+        study, dataset, Competitor("full", False, FRAME, 5, damping=0.1, rise=0.5)
+    )
+    end = fixed_latency._score(
+        study,
+        dataset,
+        Competitor("full", False, FRAME, 5, damping=points[0]["damping"], rise=points[0]["rise"]),
+    )
+    assert end <= begin  # tuning never ends worse than it began
+    actions = fixed_latency.frame_actions(study, dataset)
+    assert set(actions) == {p["name"] for p in points}
+    for action in actions.values():
+        action()

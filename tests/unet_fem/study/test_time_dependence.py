@@ -1,0 +1,221 @@
+"""Time dependence: what `judge` calls memory is memory, and the elastic answer is the dataset's tissue without it."""
+
+import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import keras
+import numpy as np
+import pytest
+
+from fem import settings as config
+from fem.data.build import generate
+from fem.data.dataset import open_dataset
+from fem.data.scene import Scene
+from fem.errors import InputError, SolverStopped
+from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.linear import linear_regression
+from unet_fem.networks.unet import unet
+from unet_fem.study.measure import time_dependence as measure
+from unet_fem.study.measure.time_dependence import difference, elastic_answers, judge, run
+from unet_fem.study.report.time_dependence import draw
+from unet_fem.study.settings import Arm, Fem, Network, Stability, Study
+from unet_fem.training.checkpoint import save_model
+from unet_fem.training.samples import windows
+
+
+@pytest.fixture
+def made_up():
+    """(time, truth, elastic): 3 interactions of 5 frames that creep at different times, the first frame at rest."""
+    rng = np.random.default_rng(0)
+    elastic = rng.normal(size=(3, 5, 60))
+    elastic[:, 0] = 0
+    creep = 1 + rng.uniform(0.1, 1.5, (3, 5, 1))
+    return np.arange(5) * 0.25, creep * elastic + 0.02 * elastic[..., ::-1], elastic
+
+
+def judged(made_up, answer):
+    return judge(*made_up, {"answer": ("an answer", answer)})["answers"]["answer"]
+
+
+def test_elastic_answer_is_all_lack_of_memory(made_up):
+    _, truth, elastic = made_up
+    found = judged(made_up, elastic)
+    assert found["overall"] == pytest.approx(
+        {"along": 1, "common": 1, "missed": 1, "creep": 1, "followed": 0}
+        | {"relative_l2": found["overall"]["relative_l2"]}
+    )
+    assert found["overall"]["relative_l2"] == pytest.approx(
+        np.linalg.norm(truth - elastic) / np.linalg.norm(truth)
+    )
+    assert judge(*made_up, {})["time_dependence"] == pytest.approx(found["overall"]["relative_l2"])
+
+
+def test_truth_has_no_error_and_follows_itself(made_up):
+    found = judged(made_up, made_up[1])
+    assert found["overall"]["relative_l2"] == 0 and found["overall"]["along"] is None
+    assert found["overall"]["missed"] == pytest.approx(0) and found["overall"][
+        "followed"
+    ] == pytest.approx(1)
+    assert found["relative_l2"][0] is None and found["creep"][0] is None  # nothing has moved yet
+
+
+def test_half_of_the_memory_is_half_missed(made_up):
+    _, truth, elastic = made_up
+    found = judged(made_up, elastic + 0.5 * (truth - elastic))
+    assert found["missed"][1:] == pytest.approx([0.5] * 4) and found["common"][1:] == pytest.approx(
+        [1] * 4
+    )
+    assert found["overall"]["followed"] == pytest.approx(0.5)
+
+
+def test_an_error_across_the_time_dependence_is_not_counted_as_it(made_up):
+    _, truth, elastic = made_up
+    d, other = truth - elastic, np.random.default_rng(1).normal(size=truth.shape)
+    other -= (
+        np.divide(
+            np.sum(other * d, -1, keepdims=True),
+            np.sum(d * d, -1, keepdims=True),
+            where=d.any(-1, keepdims=True),
+            out=np.zeros((3, 5, 1)),
+        )
+        * d
+    )
+    found = judged(made_up, truth + 0.3 * other)["overall"]
+    assert (
+        found["relative_l2"] > 0.1
+        and found["along"] < 1e-12
+        and found["common"] < 1e-12
+        and abs(found["missed"]) < 1e-6
+    )
+
+
+def test_errors_of_size_without_order_are_between_the_bounds(made_up):
+    """Sizes wrong by chance lie along the time dependence, yet are no common lack of it: common < along."""
+    _, truth, elastic = made_up
+    signs = np.array([1, -1, 1])[:, None, None]
+    found = judged(made_up, truth + 0.3 * signs * (truth - elastic))["overall"]
+    assert found["along"] == pytest.approx(1) and found["common"] < 0.5
+
+
+def test_difference_of_windows_has_the_right_sign_and_an_interval_around_it():
+    truth = np.linspace(1, 2, 30)
+    noise = np.random.default_rng(0).uniform(0.5, 1.5, 30)
+    better = difference(0.04 * truth * noise, 0.01 * truth * noise, truth)
+    assert better["low"] < better["difference"] < better["high"] < 0
+    assert difference(truth, truth, truth) == {"difference": 0.0, "low": 0.0, "high": 0.0}
+    assert difference([0.04], [0.01], [1.0]) == {
+        "difference": pytest.approx(-0.1),
+        "low": None,
+        "high": None,
+    }
+
+
+@pytest.fixture
+def study(tiny, tiny_dataset, tmp_path, monkeypatch):
+    """A study of untrained networks on the tiny scene, its files in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(config.dump_toml(tiny))
+    shutil.copy(tiny_dataset, "tiny.h5")
+    (tmp_path / "run.toml").write_text(
+        'name = "run"\nscene = "scene.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\nfilters = 2\n[train]\nepochs = 1\n'
+    )
+    dataset = open_dataset("tiny.h5")
+    fields = dataset.read("train")
+    keras.utils.set_random_seed(0)
+    networks = (
+        Network("lstm", "run.toml"),
+        Network("lstm_3", "run.toml", ("model.steps=3",)),
+        Network("unet", "run.toml", ("model.kind=unet",)),
+    )
+    scale = {"force_scale": 0.05, "displacement_scale": 0.05, "mask": dataset.free}
+    for network in networks:
+        steps = network.settings.model.window
+        folder = tmp_path / network.settings.folder
+        folder.mkdir(parents=True)
+        save_model(
+            cnn_lstm(dataset.grid, 4, steps, **scale) if steps else unet(dataset.grid, 2, **scale),
+            folder / "best.keras",
+        )
+        force = windows(fields["force"], steps)
+        save_model(
+            linear_regression(
+                force, fields["displacement"].reshape(-1, *dataset.grid, 3), dataset.free
+            ),
+            folder / "linear.keras",
+        )
+    return Study(
+        name="study",
+        networks=networks,
+        cnn_lstm="lstm",
+        unet="unet",
+        configurations=("lstm",),
+        deployed=("lstm",),
+        physics=(Arm("a", ("lstm",)),),
+        learning_rate=("lstm", "lstm"),
+        window=("lstm", "lstm_3"),
+        fem=Fem((1,)),
+        stability=Stability((1,)),
+        long_scene="scene.toml",
+        long_data="tiny.h5",
+    )
+
+
+def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
+    """From networks and a scene to plain JSON without NaN and a figure; the elastic answers are simulated once."""
+    result = run(study)
+    json.dumps(result, allow_nan=False)
+    for part in (result["short"], result["long"]):
+        assert set(part["answers"]) == {
+            "elastic",
+            "scaled",
+            "lstm",
+            "linear 2",
+            "lstm_3",
+            "linear 3",
+            "unet",
+            "linear 1",
+        }
+        assert part["creep"][-1] > 1.005  # half a second of creep
+        assert (
+            part["answers"]["elastic"]["overall"]["relative_l2"]
+            < 0.2
+            < part["answers"]["unet"]["overall"]["relative_l2"]
+        )
+    kept = {path: path.stat().st_mtime_ns for path in (study.folder / "elastic").iterdir()}
+    assert len(kept) == 1
+    elastic_answers(study, open_dataset("tiny.h5"), [1])
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    figure = draw(json.loads(json.dumps(result)))
+    assert len(figure.axes) == 6
+
+
+def test_interaction_that_the_elastic_tissue_cannot_bear_is_left_out_and_named(
+    tiny_dataset, tmp_path, monkeypatch
+):
+    dataset, study = open_dataset(tiny_dataset), SimpleNamespace(folder=tmp_path)
+
+    def stop(*arguments):
+        raise SolverStopped("inverted cell", "turned inside out")
+
+    monkeypatch.setattr(measure, "simulate", stop)
+    monkeypatch.setattr(
+        measure, "on_all_cores", lambda function, tasks, title: [function(*task) for task in tasks]
+    )
+    with pytest.raises(
+        InputError, match="stops in every test interaction of .*tiny.h5; lower contact.force"
+    ):
+        elastic_answers(study, dataset, [1])
+    (path,) = (study.folder / "elastic").iterdir()
+    assert str(np.load(path)["stopped"]) == "inverted cell"
+
+
+def test_long_scene_with_other_frames_is_refused(study, tiny, tmp_path):
+    other = config.merge(tiny, {"frames": {"interval": 0.1}})
+    (tmp_path / "other.toml").write_text(config.dump_toml(other))
+    generate(config.build(Scene, other), tmp_path / "other.h5", workers=1)
+    with pytest.raises(
+        InputError, match="0.1 s apart.*give it the mesh and frames.interval of scene.toml"
+    ):
+        run(replace(study, long_scene="other.toml", long_data="other.h5"))

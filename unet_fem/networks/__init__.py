@@ -1,0 +1,1 @@
+"""The networks and regressions, each from force field to displacement field."""

@@ -1,0 +1,59 @@
+"""The networks of the paper (Karami, Lombaert, Rivest-Hénault, arXiv 2301.04614) as Keras 3 functional models.
+
+Every model maps nodal force in mN to nodal displacement in mm on a grid of nodes whose last layer, z = nz - 1, is the
+free, loaded surface. Normalisation is part of the model, so a saved model is whole: forces are divided by
+`force_scale`, and the last layer, `displacement`, multiplies by `displacement_scale` and by `mask`, so that fixed and
+void nodes are exactly zero. Only built-in layers are used: a saved `.keras` file loads without this package.
+
+Under the policy `mixed_bfloat16` the last convolution and the output are float32; `float32_twin` gives the same
+network in float32 throughout.
+"""
+
+import json
+import re
+
+import numpy as np
+from keras import layers
+
+from fem.errors import InputError
+
+
+def float32_twin(model):
+    """The same network and weights in float32, to deploy or compare a model trained under mixed precision."""
+    config = re.sub(r"mixed_b?float16", "float32", json.dumps(model.get_config()))
+    twin = type(model).from_config(json.loads(config))
+    twin.set_weights(model.get_weights())
+    return twin
+
+
+def displacement_layer(x, scale, mask):
+    """The last layer: mm, and exactly zero outside the mask (nx, ny, nz)."""
+    if mask is not None:
+        mask = np.asarray(mask)
+        if mask.shape != x.shape[1:4]:
+            raise InputError(
+                f"mask of shape {mask.shape} on a grid of {x.shape[1:4]} nodes; give one value a node"
+            )
+        scale = scale * mask[..., None].astype("float32")
+    return layers.Rescaling(scale, dtype="float32", name="displacement")(x)  # (B, nx, ny, nz, 3)
+
+
+def pad(x, margins):
+    """Zero-pad (B, x, y, z, C) by margins ((low, high), (low, high), (low, high)), concatenating zeros.
+
+    Not ZeroPadding3D: TensorFlow 2.21 fuses Pad and Conv3D in graph mode and loses the padding. Each margin must be
+    no wider than the grid.
+    """
+    for axis, (low, high) in enumerate(margins):
+        name = "pad_" + "xyz"[axis]
+        parts = [x]
+        for end, width in (("low", low), ("high", high)):
+            if width:
+                crop = [(0, 0)] * 3
+                crop[axis] = (0, x.shape[axis + 1] - width)
+                slab = layers.Cropping3D(crop, name=f"{name}_{end}_slab")(x)
+                zeros = layers.Rescaling(0.0, name=f"{name}_{end}")(slab)
+                parts.insert(0 if end == "low" else len(parts), zeros)
+        if len(parts) > 1:
+            x = layers.Concatenate(axis=axis + 1, name=name)(parts)
+    return x

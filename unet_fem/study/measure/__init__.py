@@ -1,0 +1,1 @@
+"""The measurements of a study, a stage each."""

@@ -1,0 +1,150 @@
+"""Loads that no training set holds: the networks beside the FEM far from what they have learned."""
+
+import numpy as np
+
+from fem.contact.push import Contact, Load
+from fem.contact.surface import Surface
+from fem.errors import SolverStopped
+from fem.solver.energy import EnergyLedger
+from unet_fem.training.samples import windows
+
+FRAMES, RAMP = 5, 0.5  # frames of the scene's interval, and seconds over which the load rises
+
+
+def extreme_loads(mesh, contact):
+    """{name: load(t)} for a mesh in m and the ContactRange of its scene; each load (3, N) N rises and is then held.
+
+    Forces are multiples of the largest training force of one contact, at the middle of the surface or at its rim.
+    """
+    surface = Surface(mesh)
+    middle, rim = surface.clearance.argmax(), surface.clearance.argmin()
+    radius = float(np.mean(contact.radius))
+
+    def push(factor, at):
+        centre = surface.points[at]
+        duration = 1e9  # the contact stays where it is
+        return Load(
+            surface,
+            [
+                Contact(
+                    centre,
+                    centre,
+                    -surface.normal[at],
+                    radius,
+                    factor * contact.force[1],
+                    0.0,
+                    RAMP,
+                    duration,
+                    "hold",
+                    0.0,
+                    1.0,
+                    duration,
+                )
+            ],
+        )
+
+    top = np.unique(mesh.free_faces)
+    top = top[~mesh.fixed[top]]
+    place = (
+        np.unravel_index(mesh.grid_index[top], mesh.grid_shape) if mesh.grid_shape else [top]
+    )  # else by node number
+    signs = np.where(np.sum(place, axis=0) % 2, 1.0, -1.0)
+    board = np.zeros((3, mesh.n_nodes))
+    board[2, top] = signs * contact.force[1] / len(top)
+    return {
+        "zero force": push(0.0, middle),
+        "largest training force": push(1.0, middle),
+        "1.6 x": push(1.6, middle),
+        "2.5 x": push(2.5, middle),
+        "4 x": push(4.0, middle),
+        "sign flipped (pull)": push(-1.0, middle),
+        "at the rim": push(1.0, rim),
+        "checkerboard": lambda t: min(t / RAMP, 1.0) * board,
+    }
+
+
+def fem_response(dataset, load):
+    """(force mN, displacement mm, volume mm3) at FRAMES frames, fields on the grid (FRAMES, nx, ny, nz, 3).
+
+    Raises SolverStopped where the FEM stops, or crushes a cell more than the scene allows in its data.
+    """
+    scene, mesh = dataset.scene, dataset.fem_mesh
+    solver, ledger = scene.build_solver(mesh), EnergyLedger()
+    times = np.arange(FRAMES) * scene.frames.interval
+    force, displacement = (np.zeros((FRAMES, mesh.n_nodes, 3), np.float32) for _ in range(2))
+    volume = np.empty(FRAMES)
+    for frame, time in enumerate(times):
+        solver.advance(time - solver.time, load, [ledger])
+        force[frame], displacement[frame] = load(time).T * 1e3, solver.u.T * 1e3
+        volume[frame] = mesh.volume(solver.u.T) * 1e9
+    if ledger.smallest_J < scene.health.min_J:
+        raise SolverStopped("crushed cell", f"a cell is crushed to J = {ledger.smallest_J:.3g}")
+    return *dataset.on_grid(force, displacement), volume
+
+
+def judge_extremes(models, dataset, steps):
+    """{case: {model: figures}} for {name: Keras model}; the FEM's entry says why it stopped where it did.
+
+    relative_l2 is over the frames under load (None without motion), worst_mm the largest nodal error, and
+    volume_violation_max the largest relative change of volume. steps: of the models' window, or None.
+    """
+    from unet_fem.training.losses import deformed_volume
+
+    mesh = dataset.fem_mesh
+    rest = dataset.mesh.volume()
+    result = {}
+    for case, load in extreme_loads(mesh, dataset.scene.contact).items():
+        try:
+            force, truth, volume = fem_response(dataset, load)
+        except SolverStopped as stop:
+            result[case] = {"FEM": {"stopped": stop.reason}}
+            continue
+        size = np.linalg.norm(truth)
+        result[case] = {
+            "FEM": {
+                "largest_mm": _largest(truth),
+                "volume_violation_max": float(np.abs(volume / volume[0] - 1).max()),
+            }
+        }
+        for name, model in models.items():
+            prediction = np.asarray(model(windows(force[None], steps)))
+            moved = np.asarray(deformed_volume(prediction, *dataset.surface), float)
+            result[case][name] = {
+                "relative_l2": float(np.linalg.norm(prediction - truth) / size)
+                if size > 0
+                else None,
+                "worst_mm": _largest(prediction - truth),
+                "volume_violation_max": float(np.abs(moved / rest - 1).max()),
+            }
+    return result
+
+
+def _largest(field):
+    return float(np.linalg.norm(field, axis=-1).max())
+
+
+def extremes_table(result, models):
+    """The result of `judge_extremes` as text."""
+    lines = [
+        "",
+        "extremes".ljust(24)
+        + "FEM max mm  vol %"
+        + "".join(f"  {name:>18}: L2 %  worst mm  vol %" for name in models),
+    ]
+    for case, figures in result.items():
+        fem = figures["FEM"]
+        if "stopped" in fem:
+            lines.append(case.ljust(24) + f"FEM stopped: {fem['stopped']}")
+            continue
+        row = (
+            case.ljust(24) + f"{fem['largest_mm']:10.2f}  {100 * fem['volume_violation_max']:5.1f}"
+        )
+        for name in models:
+            f = figures[name]
+            error = "-" if f["relative_l2"] is None else f"{100 * f['relative_l2']:.0f}"
+            row += (
+                " " * 21
+                + f"{error:>5}  {f['worst_mm']:8.2f}  {100 * f['volume_violation_max']:5.1f}"
+            )
+        lines.append(row)
+    return "\n".join(lines)
