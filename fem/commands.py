@@ -7,7 +7,8 @@ from fem.errors import InputError, SolverStopped
 
 
 def command_line(main):
-    """Decorate a `main()` so that bad input ends in one line and exit code 2, not in a traceback."""
+    """Decorate a `main()` so that bad input ends in one line and exit code 2, not in a
+    traceback."""
 
     @functools.wraps(main)
     def wrapped(*args, **kwargs):

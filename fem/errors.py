@@ -1,16 +1,52 @@
-"""Errors that a user can mend, and the way the command lines report them."""
+"""Errors that a user can mend, and the reasons for which a solver stops."""
+
+from enum import StrEnum
 
 
 class InputError(ValueError):
     """Bad input: the message is one line that names the value and the remedy."""
 
 
-class SolverStopped(RuntimeError):
-    """The solver stopped on purpose: `reason` is a short slug, the message says what to do."""
+class Stop(StrEnum):
+    """Why a simulation ended early, or was not fit to learn from; `remedy` says what helps."""
 
-    def __init__(self, reason, message):
+    DIVERGED = "diverged"
+    CRUSHED_CELL = "crushed cell"
+    INVERTED_CELL = "inverted cell"
+    NO_STABLE_STEP = "no stable step"
+    STEP_TOO_LARGE = "step too large"
+    TOO_MANY_STEPS = "too many steps"
+    ENERGY_IMBALANCE = "energy imbalance"
+    KINETIC_ENERGY = "kinetic energy"
+    NOT_AT_REST = "not at rest"
+    NOT_FINITE = "not finite"
+
+    @property
+    def remedy(self) -> str:
+        """What a user can do about it."""
+        return _REMEDIES[self]
+
+
+_REMEDIES = {
+    Stop.DIVERGED: "lower the load or let it rise more slowly",
+    Stop.CRUSHED_CELL: "lower the force or widen its footprint",
+    Stop.INVERTED_CELL: "lower the force or widen its footprint",
+    Stop.NO_STABLE_STEP: "lower the load",
+    Stop.STEP_TOO_LARGE: "take more steps, lower solver.safety or raise solver.mass_scaling",
+    Stop.TOO_MANY_STEPS: "repair the thinnest cell or raise solver.mass_scaling",
+    Stop.ENERGY_IMBALANCE: "lower solver.safety or the load",
+    Stop.KINETIC_ENERGY: "lower solver.mass_scaling or let the load rise more slowly",
+    Stop.NOT_AT_REST: "fix the mesh, lower the load or raise max_steps",
+    Stop.NOT_FINITE: "lower the load",
+}
+
+
+class SolverStopped(RuntimeError):
+    """The solver stopped on purpose: `reason` is a Stop, the message says what to do."""
+
+    def __init__(self, reason: Stop | str, message: str) -> None:
         super().__init__(message)
-        self.reason = reason
+        self.reason = Stop(reason)
 
     def __reduce__(self):  # so that it crosses from a worker process to its parent
         return type(self), (self.reason, *self.args)

@@ -2,7 +2,8 @@
 
     python -m fem.generate configs/tumour.toml [--out data/tumour.h5] [--workers 2]
 
-Finished interactions wait in a folder beside the file, so a run that was stopped goes on where it was.
+Finished interactions wait in a folder beside the file, so a run that was stopped goes on where it
+was.
 """
 
 import argparse

@@ -61,7 +61,8 @@ def merge(base, changes):
 
 
 def build(cls, tree, where=""):
-    """Dataclass `cls` from nested dicts. Raises InputError naming an unknown, missing or mistyped key."""
+    """Dataclass `cls` from nested dicts. Raises InputError naming an unknown, missing or mistyped
+    key."""
     if not isinstance(tree, dict):
         raise InputError(f"'{where}' must be a table, not {tree!r}")
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
@@ -82,7 +83,8 @@ def build(cls, tree, where=""):
 
 
 def to_dict(config):
-    """A dataclass as nested dicts and lists, without the entries that are None (TOML has no null)."""
+    """A dataclass as nested dicts and lists, without the entries that are None (TOML has no
+    null)."""
     return {key: value for key, value in dataclasses.asdict(config).items() if value is not None}
 
 

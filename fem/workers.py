@@ -19,9 +19,11 @@ def start_worker():
 
 
 def on_all_cores(function, tasks, title):
-    """[function(*task) for task in tasks], in processes of one thread each; `title` stands before the bar.
+    """[function(*task) for task in tasks], in processes of one thread each; `title` stands before
+    the bar.
 
-    The functions keep what they have finished in files, so that after an interruption the rest alone is left.
+    The functions keep what they have finished in files, so that after an interruption the rest
+    alone is left.
     """
     tasks = list(tasks)
     if len(tasks) == 1:  # not worth a process

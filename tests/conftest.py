@@ -24,7 +24,8 @@ def reference():
 
 @pytest.fixture(scope="session")
 def distort():
-    """distort(mesh): the mesh with every node moved at random by up to 15 % of the first cell's edge."""
+    """distort(mesh): the mesh with every node moved at random by up to 15 % of the first cell's
+    edge."""
 
     def move(mesh, amount=0.15, seed=1):
         edge = np.ptp(mesh.points[mesh.cells[0]], axis=0).min()
@@ -56,7 +57,8 @@ TINY = {
 
 @pytest.fixture
 def tiny():
-    """A scene of 4 x 4 x 2 cells and four interactions of three frames, as nested dicts; some draws are unfit."""
+    """A scene of 4 x 4 x 2 cells and four interactions of three frames, as nested dicts; some draws
+    are unfit."""
     return copy.deepcopy(TINY)
 
 

@@ -1,9 +1,11 @@
 """Latency of trained runs at batch 1, in every form they can be deployed in, beside the FEM.
 
-    python tools/benchmark.py runs/<name> [runs/<other> ...] [--threads 1] [--rounds 300] [--out docs/benchmark]
+    python tools/benchmark.py runs/<name> [runs/<other> ...] [--threads 1] [--rounds 300] [--out
+    docs/benchmark]
 
-Every figure is of one process in which the variants take turns, all with the same number of threads: Keras call,
-tf.function, each .tflite (made by tools/quantize.py), and the FEM per frame of 10 ms. Prints Markdown; --out writes .md and .json.
+Every figure is of one process in which the variants take turns, all with the same number of
+threads: Keras call, tf.function, each .tflite (made by tools/quantize.py), and the FEM per frame of
+10 ms. Prints Markdown; --out writes .md and .json.
 """
 
 import argparse
@@ -27,7 +29,8 @@ WARM_UP = 20  # calls of each variant before the clock runs
 
 
 def soak(path, dataset, steps, threads):
-    """`steps` calls of the surrogate at `path` on a test interaction over and over: quantiles in ms, growth in MB."""
+    """`steps` calls of the surrogate at `path` on a test interaction over and over: quantiles in
+    ms, growth in MB."""
     from unet_fem.runtime.surrogate import Surrogate
 
     surrogate = Surrogate(path, threads)
@@ -82,7 +85,8 @@ def markdown(result):
 
 
 def benchmark(folders, threads, rounds, soak_steps):
-    """The figures of all runs and of the FEM, as one nested dict; soak_steps > 0 also soaks the int8 file of each."""
+    """The figures of all runs and of the FEM, as one nested dict; soak_steps > 0 also soaks the
+    int8 file of each."""
     from unet_fem.deployment import latency
     from unet_fem.training.run import open_run
 

@@ -2,8 +2,9 @@
 
     python tools/benchmark_fem.py [--quick] [--out docs/benchmark_fem.json]
 
-Every figure of a table comes from one process, with the variants taking turns, so that their ratios hold even when the
-machine's speed drifts. The table is printed as Markdown; felupe is optional (pip install -e '.[test]').
+Every figure of a table comes from one process, with the variants taking turns, so that their ratios
+hold even when the machine's speed drifts. The table is printed as Markdown; felupe is optional (pip
+install -e '.[test]').
 """
 
 import os
@@ -41,7 +42,8 @@ VARIANTS = [
 
 
 def plain_force(mesh, material):
-    """The internal force as a first draft would have it: einsum, an inverse in every point, np.add.at."""
+    """The internal force as a first draft would have it: einsum, an inverse in every point,
+    np.add.at."""
     jacobian = element.jacobians(mesh.points, mesh.cells, element.GAUSS)
     gradient = np.einsum(
         "qra,eqrj->eqaj", element.shape_gradients(element.GAUSS), np.linalg.inv(jacobian)
@@ -78,7 +80,8 @@ def felupe_force(mesh, material):
 
 
 def gentle_load(mesh):
-    """A constant nodal load on the free surface that moves the tissue by a few per cent of a cell."""
+    """A constant nodal load on the free surface that moves the tissue by a few per cent of a
+    cell."""
     load = np.zeros((3, mesh.n_nodes))
     nodes = np.unique(mesh.free_faces)
     load[2, nodes] = -20.0 * mesh.volume() ** (2 / 3) / len(nodes)  # about 20 Pa
@@ -86,7 +89,8 @@ def gentle_load(mesh):
 
 
 class Run:
-    """One solver that takes STRIDE steps at a time, so that updates of the viscous stress have their full share."""
+    """One solver that takes STRIDE steps at a time, so that updates of the viscous stress have
+    their full share."""
 
     def __init__(self, mesh, kind, precision, material, steps=STRIDE):
         self.solver = Solver(mesh, material, kind, precision, damping=50.0)
@@ -143,7 +147,8 @@ def tumour_table(rounds):
 
 
 def frame_table(rounds):
-    """Milliseconds for one frame of 10 ms at fixed latency: as many steps as the stable step asks for, and fewer."""
+    """Milliseconds for one frame of 10 ms at fixed latency: as many steps as the stable step asks
+    for, and fewer."""
     mesh, result = tumour(), {}
     print("\n## One frame of 10 ms at fixed latency, viscoelastic float32, milliseconds\n")
     print("| element | steps a frame | mass scaling | p10 | p50 | p90 |\n|---|---|---|---|---|---|")
@@ -170,7 +175,8 @@ def frame_table(rounds):
 
 
 def size_table(boxes, rounds):
-    """Microseconds a step and per thousand cells, and bytes a cell, from the tumour to a million hexahedra."""
+    """Microseconds a step and per thousand cells, and bytes a cell, from the tumour to a million
+    hexahedra."""
     result = {}
     print(
         "\n## Cost against size\n\n| mesh | hexahedra | variant | ms a step (p50) | us per 1000 cells | against the tumour | bytes a cell |\n|---|---|---|---|---|---|---|"

@@ -1,4 +1,5 @@
-"""Export an interaction of a dataset for ParaView, with physical times, forces, volume ratios and energies.
+"""Export an interaction of a dataset for ParaView, with physical times, forces, volume ratios and
+energies.
 
     python tools/export.py data/quick.h5 --interaction 3 out/
 

@@ -1,10 +1,11 @@
-"""Write the mesh of configs/lobe.toml: a curved, distorted block, with its nodes and cells in no order, as meshers leave them.
+"""Write the mesh of configs/lobe.toml: a curved, distorted block, with its nodes and cells in no
+order, as meshers leave them.
 
     python tools/make_lobe.py [configs/lobe.vtu]
 
-An arched slab of 12 x 12 x 6 cells, about 19 x 15 x 9 mm: bent over an angle of 100 degrees, bulging and thicker in the
-middle, with thinner cells towards the top, skewed and unevenly spaced. Lengths are in mm; the array `top` marks the nodes
-of the outer surface.
+An arched slab of 12 x 12 x 6 cells, about 19 x 15 x 9 mm: bent over an angle of 100 degrees,
+bulging and thicker in the middle, with thinner cells towards the top, skewed and unevenly spaced.
+Lengths are in mm; the array `top` marks the nodes of the outer surface.
 """
 
 import argparse

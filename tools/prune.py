@@ -1,10 +1,12 @@
-"""Make a trained network smaller, by zeros or by whole filters, fine-tune it, and measure what that gives.
+"""Make a trained network smaller, by zeros or by whole filters, fine-tune it, and measure what that
+gives.
 
     python tools/prune.py runs/<name> [--filters] [--sparsity 0.5 0.8] [--epochs 10]
 
-Without --filters: magnitude pruning of the convolutions (TensorFlow Model Optimization), the paper's study. With it:
-the least filters (U-Net) or units (CNN-LSTM) are removed. Each result is a run of its own, runs/<name>_pruned50 or
-runs/<name>_thin50, for every other tool to work on. Its figures go to pruning.json there.
+Without --filters: magnitude pruning of the convolutions (TensorFlow Model Optimization), the
+paper's study. With it: the least filters (U-Net) or units (CNN-LSTM) are removed. Each result is a
+run of its own, runs/<name>_pruned50 or runs/<name>_thin50, for every other tool to work on. Its
+figures go to pruning.json there.
 """
 
 import argparse
@@ -42,7 +44,8 @@ def thinner(model, settings, sparsity):
 
 
 def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
-    """Prune and fine-tune into a run folder of its own, unless that is done already. Returns its settings."""
+    """Prune and fine-tune into a run folder of its own, unless that is done already. Returns its
+    settings."""
     import keras
 
     from unet_fem.deployment import pruning as prune
@@ -149,7 +152,8 @@ def zipped_size(path):
 
 
 def compare(runs, dataset, rounds):
-    """Figures of all runs with paired latencies, one thread, {name: figures}; the first run is the one to beat."""
+    """Figures of all runs with paired latencies, one thread, {name: figures}; the first run is the
+    one to beat."""
     from unet_fem.deployment.latency import surrogate_action
 
     figures, actions = {}, {}

@@ -2,8 +2,9 @@
 
     python tools/quantize.py runs/<name> [--windows 64] [--margin 1.5] [--layers]
 
-Writes lite/{float32,float16,dynamic,int8}.tflite and quantization.json into the run's folder; the files are for
-unet_fem.runtime.Surrogate. Each is audited: only builtin operators, and int8 where its name promises it.
+Writes lite/{float32,float16,dynamic,int8}.tflite and quantization.json into the run's folder; the
+files are for unet_fem.runtime.Surrogate. Each is audited: only builtin operators, and int8 where
+its name promises it.
 """
 
 import argparse
@@ -27,10 +28,11 @@ def relative(values, reference):
 
 
 def layer_errors(reference, quantized, windows):
-    """{layer: relative L2 error of its output} of the weighted operators that two .tflite files share by name.
+    """{layer: relative L2 error of its output} of the weighted operators that two .tflite files
+    share by name.
 
-    The LSTM has three: all steps' inputs, then each direction's recurrence. reference, quantized: the files' bytes,
-    float32 and another. windows: (S, [T,] nx, ny, nz, 3) mN.
+    The LSTM has three: all steps' inputs, then each direction's recurrence. reference, quantized:
+    the files' bytes, float32 and another. windows: (S, [T,] nx, ny, nz, 3) mN.
     """
     from ai_edge_litert.interpreter import Interpreter, OpResolverType
 

@@ -2,9 +2,10 @@
 
     python tools/report.py [configs/study.toml] [--quick] [--out docs] [--again STAGE ...]
 
-What is there already is used again: trained runs under runs/, figures of each stage under runs/<study>/, as long as their
-settings are the same (after a change of the code give --again). A command that was cut off goes on where it was. --quick
-takes configs/study_quick.toml, minutes instead of hours.
+What is there already is used again: trained runs under runs/, figures of each stage under
+runs/<study>/, as long as their settings are the same (after a change of the code give --again). A
+command that was cut off goes on where it was. --quick takes configs/study_quick.toml, minutes
+instead of hours.
 """
 
 import argparse

@@ -1,10 +1,12 @@
-"""Map where the solver is accurate and where it stops, and write docs/stability.md and docs/stability.png.
+"""Map where the solver is accurate and where it stops, and write docs/stability.md and
+docs/stability.png.
 
     python tools/stability.py [--quick] [--only WORD] [--out docs]
 
-Every cell of the map is one run at an extreme setting. It ends as accurate, with its error against a reference, or as
-stopped, with the solver's reason. An error above the sweep's tolerance is WRONG, and so is a run that does not come to
-an end; the command then exits with 1. The runs are in stability_runs.py, the figure and the text in stability_report.py.
+Every cell of the map is one run at an extreme setting. It ends as accurate, with its error against
+a reference, or as stopped, with the solver's reason. An error above the sweep's tolerance is WRONG,
+and so is a run that does not come to an end; the command then exits with 1. The runs are in
+stability_runs.py, the figure and the text in stability_report.py.
 """
 
 import os
@@ -40,7 +42,8 @@ REFUSALS = {
 
 @dataclass(frozen=True)
 class Sweep:
-    """A row of the map: `run(value)` returns the relative error, and may raise SolverStopped or InputError.
+    """A row of the map: `run(value)` returns the relative error, and may raise SolverStopped or
+    InputError.
 
     quick: the values that --quick takes; label: text of a value.
     """
@@ -56,7 +59,8 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Cell:
-    """status: "accurate", "stopped" or "WRONG"; error: relative, NaN if stopped; reason: why it stopped."""
+    """status: "accurate", "stopped" or "WRONG"; error: relative, NaN if stopped; reason: why it
+    stopped."""
 
     sweep: Sweep
     value: str

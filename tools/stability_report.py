@@ -1,4 +1,5 @@
-"""The figure and the text of the stability map, from the cells that tools/stability.py has measured."""
+"""The figure and the text of the stability map, from the cells that tools/stability.py has
+measured."""
 
 import matplotlib
 
@@ -56,7 +57,8 @@ dilatation. The full element's figures above nu = 0.45 are what the solver refus
 
 
 def write(folder, cells, counts, locking):
-    """stability.md and stability.png in `folder`; locking: rows (nu, three relative errors), may be empty."""
+    """stability.md and stability.png in `folder`; locking: rows (nu, three relative errors), may be
+    empty."""
     folder.mkdir(parents=True, exist_ok=True)
     draw(cells, folder / "stability.png")
     text = INTRODUCTION.format(

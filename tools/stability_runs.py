@@ -1,4 +1,5 @@
-"""The runs of the stability map: each function returns a relative error, or the solver stops it. See tools/stability.py."""
+"""The runs of the stability map: each function returns a relative error, or the solver stops it.
+See tools/stability.py."""
 
 from dataclasses import replace
 from functools import cache
@@ -43,7 +44,8 @@ def sudden(t):
 
 
 def history(mesh, material, load, scale, duration, steps=None, **choices):
-    """Displacement in m that is conjugate to the load field (3, N), at 200 instants of a run under scale(t) * load, with an energy ledger."""
+    """Displacement in m that is conjugate to the load field (3, N), at 200 instants of a run under
+    scale(t) * load, with an energy ledger."""
     solver, record = Solver(mesh, material, **choices), []
     observers = [
         EnergyLedger(),
@@ -68,7 +70,8 @@ def against_small_steps(got, share, *run, **choices):
 
 
 def pushed(factor, material=TISSUE, scale=ramp(0.1), duration=0.15, refined=0.08, **choices):
-    """A push of the block with `factor` times the force, against smaller steps. A stop counts only if they stop too."""
+    """A push of the block with `factor` times the force, against smaller steps. A stop counts only
+    if they stop too."""
     run = BLOCK, material, push(BLOCK, factor * FORCE), scale, duration
     try:
         got = history(*run, **choices)
@@ -80,14 +83,16 @@ def pushed(factor, material=TISSUE, scale=ramp(0.1), duration=0.15, refined=0.08
 
 
 def fixed_steps(ratio):
-    """A fixed number of steps, `ratio` of the critical step at rest, while a push stiffens the tissue."""
+    """A fixed number of steps, `ratio` of the critical step at rest, while a push stiffens the
+    tissue."""
     run = BLOCK, TISSUE, push(BLOCK, 5 * FORCE), ramp(0.1), 0.15
     steps = int(np.ceil(0.15 / (ratio * Solver(BLOCK, TISSUE).critical_step)))
     return against_small_steps(history(*run, steps=steps), 0.08, *run)
 
 
 def uniform(mesh, material, stretch, kind="full"):
-    """Error of the equilibrium against u = stretch z, which is exact on any mesh with a fixed bottom: P is uniform.
+    """Error of the equilibrium against u = stretch z, which is exact on any mesh with a fixed
+    bottom: P is uniform.
 
     The loads are the tractions P n of Material.stress, integrated over the faces.
     """
@@ -115,7 +120,8 @@ def on_all_elements(mesh):
 
 
 def warped(mesh, amount=0.15):
-    """The mesh with every node that is not on the bottom moved at random by up to `amount` of an edge."""
+    """The mesh with every node that is not on the bottom moved at random by up to `amount` of an
+    edge."""
     shift = np.random.default_rng(1).uniform(-1, 1, mesh.points.shape) * (mesh.points[:, 2:] > 0)
     return replace(mesh, points=mesh.points + amount * EDGE * shift)
 
@@ -130,7 +136,8 @@ def graded(ratio):
 
 
 def bad_cell(kind, amount):
-    """A block with a layer of slivers `amount` as thick as the others, or a corner whose Jacobian is `amount` of a cube's."""
+    """A block with a layer of slivers `amount` as thick as the others, or a corner whose Jacobian
+    is `amount` of a cube's."""
     mesh = box((3, 3, 3), EDGE, "bottom")
     points = mesh.points.copy()
     if kind == "sliver":
@@ -152,12 +159,14 @@ def indentation(nu, kind, refinement):
 
 
 def stiffness_error(nu, kind):
-    """Relative error of the indentation on a mesh with 4.4 cells a radius against one of half the cell with mean dilatation."""
+    """Relative error of the indentation on a mesh with 4.4 cells a radius against one of half the
+    cell with mean dilatation."""
     return indentation(nu, kind, 2) / indentation(nu, "mean_dilatation", 4) - 1
 
 
 def locking(values):
-    """[(nu, full, reduced, mean dilatation)]: the errors above, the full element's where it is refused too."""
+    """[(nu, full, reduced, mean dilatation)]: the errors above, the full element's where it is
+    refused too."""
     limit, fem.solver.explicit.LOCKING_NU = fem.solver.explicit.LOCKING_NU, 0.5
     try:
         return [
@@ -169,7 +178,8 @@ def locking(values):
 
 
 def creep(prony, duration, exact, kind="full", mass_scaling=1.0, **choices):
-    """Error of the displacement after `duration` s of a sudden, small, held force against the creep function `exact`."""
+    """Error of the displacement after `duration` s of a sudden, small, held force against the creep
+    function `exact`."""
     load = push(SMALL, 1e-6 * FORCE)
     elastic = equilibrium(SMALL, TISSUE, load.T, residual=1e-7, element=kind).displacement.T
     solver = Solver(
@@ -190,7 +200,8 @@ def one_term(g, tau, duration):
 
 
 def hour(choice):
-    """The paper's tissue under a force held for an hour: D = 12.5 - 3.2365 exp(-t / 50.68) - 8.2635 exp(-t / 895.3)."""
+    """The paper's tissue under a force held for an hour: D = 12.5 - 3.2365 exp(-t / 50.68) - 8.2635
+    exp(-t / 895.3)."""
     kind, precision = choice
     exact = 12.5 - 3.2365 * np.exp(-3600 / 50.68) - 8.2635 * np.exp(-3600 / 895.3)
     return creep(PAPER.prony, 3600.0, exact, kind, mass_scaling=1e5, precision=precision)

@@ -14,8 +14,9 @@ PATTERNS = ("hold", "release", "oscillate")
 class ContactRange:
     """What the contacts of a scene are drawn from: (low, high) pairs, and the number of contacts.
 
-    radius m, force N (peak), travel m (length of the path), ramp s, hold s, onset s, rate Hz; cone: largest angle in
-    degrees between the force and the inward normal; low: share of the peak left by a release or an oscillation.
+    radius m, force N (peak), travel m (length of the path), ramp s, hold s, onset s, rate Hz; cone:
+    largest angle in degrees between the force and the inward normal; low: share of the peak left by
+    a release or an oscillation.
     """
 
     count: int
@@ -50,8 +51,8 @@ class ContactRange:
 def draw_contacts(surface, ranges, duration, rng, factor=None):
     """The contacts of one interaction, a list of Contact drawn with the generator `rng`.
 
-    factor: (low, high) makes a hard interaction: every contact acts from the start, holds long enough for all to push
-    together, and peaks at low to high times the largest force in `ranges`.
+    factor: (low, high) makes a hard interaction: every contact acts from the start, holds long
+    enough for all to push together, and peaks at low to high times the largest force in `ranges`.
     """
     return [_draw_contact(surface, ranges, duration, rng, factor) for _ in range(ranges.count)]
 
@@ -62,7 +63,8 @@ def _draw_contact(surface, ranges, duration, rng, factor):
     start = inside[rng.choice(len(inside), p=surface.area[inside] / surface.area[inside].sum())]
     reach = np.linalg.norm(surface.points[inside] - surface.points[start], axis=1)
     length = rng.uniform(*ranges.travel)
-    # the end lies near the drawn distance, in a random direction, inside the same part of the surface and on the same side
+    # the end lies near the drawn distance, in a random direction, inside the same part of the
+    # surface and on the same side
     behind = surface.normal[inside] @ surface.normal[start] < 0.5
     end = inside[
         np.argmin(
@@ -91,7 +93,8 @@ def _draw_contact(surface, ranges, duration, rng, factor):
 
 
 def tilt(axis, angle, rng):
-    """A unit vector drawn evenly from the cone of half-angle `angle` about the unit vector `axis`."""
+    """A unit vector drawn evenly from the cone of half-angle `angle` about the unit vector
+    `axis`."""
     cosine = rng.uniform(np.cos(angle), 1.0)
     azimuth = rng.uniform(0, 2 * np.pi)
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])

@@ -1,4 +1,5 @@
-"""Instruments that push on the free surface: smooth circular footprints with a path, a force history and a direction."""
+"""Instruments that push on the free surface: smooth circular footprints with a path, a force
+history and a direction."""
 
 from dataclasses import dataclass
 
@@ -9,9 +10,9 @@ import numpy as np
 class Contact:
     """One instrument during one interaction (m, N, s, Hz; unit direction).
 
-    The centre runs from `start` to `end` while the contact acts. The force climbs to `peak` over `ramp`, stays for
-    `hold`, and then goes on as `pattern`: "hold", "release" (down to the share `low` over another `ramp`) or
-    "oscillate" (between 1 and the share `low` at `rate`).
+    The centre runs from `start` to `end` while the contact acts. The force climbs to `peak` over
+    `ramp`, stays for `hold`, and then goes on as `pattern`: "hold", "release" (down to the share
+    `low` over another `ramp`) or "oscillate" (between 1 and the share `low` at `rate`).
     """
 
     start: np.ndarray

@@ -9,7 +9,8 @@ from fem.mesh import element
 
 
 class Surface:
-    """The free surface of a mesh, with quadrature points that turn a footprint into consistent nodal forces."""
+    """The free surface of a mesh, with quadrature points that turn a footprint into consistent
+    nodal forces."""
 
     def __init__(self, mesh):
         faces = mesh.free_faces
@@ -38,10 +39,12 @@ class Surface:
         ]  # (P,) m, inf without a rim
 
     def footprint(self, centre, radius):
-        """Share of a unit force that each node takes, (N,): consistent with the pressure (1 - r^2/R^2)^2, sum exactly 1.
+        """Share of a unit force that each node takes, (N,): consistent with the pressure (1 -
+        r^2/R^2)^2, sum exactly 1.
 
-        r is measured along the surface's tangent plane under the centre, so that a straight path may cut through a curved
-        surface, and never reaches the other side of a thin wall. Raises InputError if the circle holds no point of the surface.
+        r is measured along the surface's tangent plane under the centre, so that a straight path
+        may cut through a curved surface, and never reaches the other side of a thin wall. Raises
+        InputError if the circle holds no point of the surface.
         """
         offset = self.points - centre
         squared = np.einsum("pi,pi->p", offset, offset)

@@ -1,4 +1,5 @@
-"""Simulate the interactions of a scene in parallel, and put the finished ones together as a dataset."""
+"""Simulate the interactions of a scene in parallel, and put the finished ones together as a
+dataset."""
 
 import json
 import multiprocessing
@@ -20,9 +21,11 @@ from fem.workers import start_worker
 
 
 def generate(scene, path, workers=None):
-    """Write the dataset of `scene` to `path` and return {reason: count} of the draws that were rejected.
+    """Write the dataset of `scene` to `path` and return {reason: count} of the draws that were
+    rejected.
 
-    The result depends on the scene alone, not on the number of worker processes or on interruptions.
+    The result depends on the scene alone, not on the number of worker processes or on
+    interruptions.
     """
     path, mesh = Path(path), scene.mesh.build()
     (

@@ -1,4 +1,5 @@
-"""The HDF5 file of a scene's interactions: written whole or not at all, and checked when it is opened.
+"""The HDF5 file of a scene's interactions: written whole or not at all, and checked when it is
+opened.
 
 The schema is described in docs/data.md.
 """
@@ -34,9 +35,11 @@ FIELDS = ("force", "displacement")
 class Dataset:
     """An opened dataset: its description in memory, its fields read split by split.
 
-    time (frames,) s; split and number (interactions,); hard (interactions,) bool; mask (nx, ny, nz) of material nodes;
-    fixed (nx, ny, nz) of held nodes; points (nx, ny, nz, 3) mm; cells (E, 8) as indices into the node grid, C order;
-    embedding_error: relative L2 error of displacement taken to the grid and back, 0 where the mesh lies on the grid.
+    time (frames,) s; split and number (interactions,); hard (interactions,) bool; mask (nx, ny, nz)
+    of material nodes; fixed (nx, ny, nz) of held nodes; points (nx, ny, nz, 3) mm; cells (E, 8) as
+    indices into the node grid, C order;
+    embedding_error: relative L2 error of displacement taken to the grid and back, 0 where the mesh
+    lies on the grid.
     """
 
     path: Path
@@ -70,11 +73,13 @@ class Dataset:
 
     @cached_property
     def surface(self):
-        """(points (nx*ny*nz, 3) mm, faces (M, 4)): grid nodes and the boundary quads between them, outward."""
+        """(points (nx*ny*nz, 3) mm, faces (M, 4)): grid nodes and the boundary quads between them,
+        outward."""
         return self.points.reshape(-1, 3), self.mesh.grid_index[self.mesh.boundary_faces]
 
     def read(self, split):
-        """{force mN, displacement mm (interactions, frames, nx, ny, nz, 3), volume mm3 (interactions, frames), hard, number}."""
+        """{force mN, displacement mm (interactions, frames, nx, ny, nz, 3), volume mm3
+        (interactions, frames), hard, number}."""
         if split not in SPLITS:
             raise InputError(f"split '{split}' is not one of {', '.join(SPLITS)}")
         rows = np.flatnonzero(self.split == split)
@@ -92,7 +97,8 @@ class Dataset:
 
     @cached_property
     def fem_mesh(self):
-        """The HexMesh in m that the interactions were simulated on: `mesh`, or one that is embedded in the grid."""
+        """The HexMesh in m that the interactions were simulated on: `mesh`, or one that is embedded
+        in the grid."""
         with _opened(self.path) as file:
             if "mesh" in file:
                 own = {
@@ -112,11 +118,13 @@ class Dataset:
         return self.scene.mesh.embed(self.fem_mesh)
 
     def on_grid(self, force, displacement):
-        """Force and displacement (..., N, 3) at the nodes of fem_mesh on the grid: (..., nx, ny, nz, 3)."""
+        """Force and displacement (..., N, 3) at the nodes of fem_mesh on the grid: (..., nx, ny,
+        nz, 3)."""
         return on_grid(self.fem_mesh, self.embedding, force, displacement)
 
     def sequence(self, split, number):
-        """Interaction `number` of `split` on the mesh that it was simulated on, a Sequence. Raises InputError if there is none."""
+        """Interaction `number` of `split` on the mesh that it was simulated on, a Sequence. Raises
+        InputError if there is none."""
         rows = np.flatnonzero((self.split == split) & (self.number == number))
         if not rows.size:
             have = ", ".join(f"{name} 1 to {(self.split == name).sum()}" for name in SPLITS)
@@ -137,7 +145,8 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Sequence:
-    """One interaction: mesh in mm, time (frames,) s, force (frames, N, 3) mN, displacement (frames, N, 3) mm, energy {column: (frames,) J}."""
+    """One interaction: mesh in mm, time (frames,) s, force (frames, N, 3) mN, displacement (frames,
+    N, 3) mm, energy {column: (frames,) J}."""
 
     mesh: HexMesh
     time: np.ndarray
@@ -172,7 +181,8 @@ def open_dataset(path):
 
 @contextmanager
 def _opened(path):
-    """The HDF5 file at `path`, open for reading; what is missing or unreadable in it is an InputError."""
+    """The HDF5 file at `path`, open for reading; what is missing or unreadable in it is an
+    InputError."""
     try:
         file = h5py.File(path, "r")
     except OSError as error:

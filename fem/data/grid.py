@@ -2,7 +2,8 @@
 
 
 def on_grid(mesh, embedding, force, displacement):
-    """Force and displacement (..., N, 3) at the nodes of `mesh` on its node grid, or that of its embedding: (..., nx, ny, nz, 3)."""
+    """Force and displacement (..., N, 3) at the nodes of `mesh` on its node grid, or that of its
+    embedding: (..., nx, ny, nz, 3)."""
     if embedding is None:
         return mesh.to_grid(force), mesh.to_grid(displacement)
     to_grid = embedding.grid_mesh.to_grid

@@ -18,9 +18,10 @@ MAX_ATTEMPTS = 20
 def simulate(scene, mesh, contacts, surface):
     """Frames of one interaction on `mesh`.
 
-    Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3, energy (frames, 7) in
-    the order of fem.solver.energy.COLUMNS after time, and the health figures imbalance, min_J, kinetic_share, hourglass_share
-    and steps. Raises SolverStopped if the run cannot go on.
+    Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3,
+    energy (frames, 7) in the order of fem.solver.energy.COLUMNS after time, and the health figures
+    imbalance, min_J, kinetic_share, hourglass_share and steps. Raises SolverStopped if the run
+    cannot go on.
     """
     solver, ledger, load = scene.build_solver(mesh), EnergyLedger(), Load(surface, contacts)
     times = scene.frames.times
@@ -51,8 +52,8 @@ def simulate(scene, mesh, contacts, surface):
 class FrameBalances:
     """Observer that comes after an EnergyLedger: a balance for each of the frames at `times` (s).
 
-    The viscous work is known only where the viscous stress is brought up to date, so a balance is taken at the last such
-    steps before each frame.
+    The viscous work is known only where the viscous stress is brought up to date, so a balance is
+    taken at the last such steps before each frame.
     """
 
     def __init__(self, ledger, times, material):
@@ -71,7 +72,8 @@ class FrameBalances:
             self.rows[frame] = self.ledger.balance(solver)
 
     def at_frames(self):
-        """(frames, 7), the columns of fem.solver.energy.COLUMNS after time, interpolated to the frames."""
+        """(frames, 7), the columns of fem.solver.energy.COLUMNS after time, interpolated to the
+        frames."""
         rows = np.array([self.rows[frame] for frame in sorted(self.rows)])
         return np.stack(
             [np.interp(self.times, rows[:, 0], column) for column in rows[:, 1:].T], axis=1
@@ -92,14 +94,16 @@ def unfit(scene, result):
 
 
 def drawn_contacts(scene, surface, split, number, attempt):
-    """The contacts of one draw: it depends on the scene's seed, the split, the number and the attempt, on nothing else."""
+    """The contacts of one draw: it depends on the scene's seed, the split, the number and the
+    attempt, on nothing else."""
     rng = np.random.default_rng([scene.interactions.seed, SPLITS.index(split), number, attempt])
     factor = scene.interactions.hard_force if scene.interactions.is_hard(split, number) else None
     return draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
 
 
 def contacts_of(dataset, split, number):
-    """The contacts of an interaction of a fem.data.dataset.Dataset, drawn again: the attempt is the one whose load gives its frames of force.
+    """The contacts of an interaction of a fem.data.dataset.Dataset, drawn again: the attempt is the
+    one whose load gives its frames of force.
 
     Raises InputError if no attempt gives them: the dataset is another scene's.
     """
@@ -120,7 +124,8 @@ def contacts_of(dataset, split, number):
 
 
 def healthy_interaction(scene, mesh, split, number):
-    """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with `rejected` {reason: count}.
+    """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with
+    `rejected` {reason: count}.
 
     Raises InputError after 20 unfit draws.
     """

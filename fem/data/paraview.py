@@ -1,4 +1,5 @@
-"""A simulated interaction as files for ParaView: one VTU a frame, a PVD with the time of each, and the energies as a table."""
+"""A simulated interaction as files for ParaView: one VTU a frame, a PVD with the time of each, and
+the energies as a table."""
 
 import csv
 from pathlib import Path
@@ -11,11 +12,13 @@ from fem.mesh import element
 
 
 def write_sequence(folder, name, sequence):
-    """Write the fem.data.dataset.Sequence `sequence` as <folder>/<name>.pvd, the frames in <folder>/<name>/, and <name>-energy.csv.
+    """Write the fem.data.dataset.Sequence `sequence` as <folder>/<name>.pvd, the frames in
+    <folder>/<name>/, and <name>-energy.csv.
 
-    Every frame has the mesh at rest (mm), `displacement` (mm; ParaView's filter Warp By Vector moves the mesh), `force`
-    (mN) and `fixed` at the nodes, and `J`, the mean volume ratio, of the cells. Returns the path of the PVD, which is
-    written last. Raises InputError if `folder` cannot be made.
+    Every frame has the mesh at rest (mm), `displacement` (mm; ParaView's filter Warp By Vector
+    moves the mesh), `force` (mN) and `fixed` at the nodes, and `J`, the mean volume ratio, of the
+    cells. Returns the path of the PVD, which is written last. Raises InputError if `folder` cannot
+    be made.
     """
     folder = Path(folder)
     try:

@@ -26,7 +26,8 @@ class MeshChoice:
 
     edge: of a cube of the tumour or box, m; cells: of the box along x, y, z
     file: mesh to read, relative to the scene file; scale: m per unit of length in it, 1 if left out
-    fixed, loaded: selections of the held nodes and of the surface to push on, see fem.mesh.select and fem.mesh.read
+    fixed, loaded: selections of the held nodes and of the surface to push on, see fem.mesh.select
+    and fem.mesh.read
     grid: (nx, ny, nz) nodes of the grid to embed the mesh in, also if it lies on one of its own
     sha256: of the mesh file; load_scene fills it in, so that a changed mesh makes another scene
     """
@@ -109,7 +110,8 @@ class SolverChoice:
     safety: float = 0.85
 
     def __post_init__(self):
-        # the solver's default; the other elements have no use for it, so that there it must not make two scenes of one
+        # the solver's default; the other elements have no use for it, so that there it must not
+        # make two scenes of one
         stiffness = (
             (0.2 if self.hourglass_stiffness is None else self.hourglass_stiffness)
             if self.element == "reduced"
@@ -144,8 +146,8 @@ class Frames:
 class Interactions:
     """How many interactions each split has, numbered from 1, and the seed of all.
 
-    hard: (first, last) numbers of the test interactions whose peak forces are `hard_force` (low, high) times the largest
-    in contact.force, so that they lie outside the training data.
+    hard: (first, last) numbers of the test interactions whose peak forces are `hard_force` (low,
+    high) times the largest in contact.force, so that they lie outside the training data.
     """
 
     seed: int
@@ -182,7 +184,8 @@ class Interactions:
 
 @dataclass(frozen=True)
 class Health:
-    """What a sequence must fulfil to enter a dataset: energy imbalance, smallest J, kinetic over strain energy."""
+    """What a sequence must fulfil to enter a dataset: energy imbalance, smallest J, kinetic over
+    strain energy."""
 
     imbalance: float = 0.01
     min_J: float = 0.15
@@ -215,6 +218,7 @@ class Scene:
 
 
 def load_scene(path):
-    """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value, or a missing mesh file."""
+    """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value, or a
+    missing mesh file."""
     scene = config.build(Scene, config.read_toml(path))
     return replace(scene, mesh=scene.mesh.located(Path(path).parent))

@@ -1,4 +1,5 @@
-"""Write the interactions of a scene to one HDF5 file, whole or not at all. The schema is described in docs/data.md."""
+"""Write the interactions of a scene to one HDF5 file, whole or not at all. The schema is described
+in docs/data.md."""
 
 import json
 import os
@@ -17,7 +18,8 @@ HEALTH = ("imbalance", "min_J", "kinetic_share", "hourglass_share", "steps")
 
 
 def write_dataset(path, scene, mesh, results):
-    """Write the interactions `results` (dicts of fem.data.interaction, in the order of scene.interactions.all()) to `path`.
+    """Write the interactions `results` (dicts of fem.data.interaction, in the order of
+    scene.interactions.all()) to `path`.
 
     A temporary file beside it takes its place only when it is complete.
     """

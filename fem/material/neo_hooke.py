@@ -15,10 +15,12 @@ class Material:
         K = 2 mu (1 + nu) / (3 (1 - 2 nu))
         S(t) = int G(t - s) dS_e(s),   G(t) = 1 - sum g_k + sum g_k exp(-t / tau_k)
 
-    mu: shear modulus, Pa; nu: Poisson ratio, -; density: kg/m3; prony: ((g, tau s), ...), empty for elastic.
+    mu: shear modulus, Pa; nu: Poisson ratio, -; density: kg/m3; prony: ((g, tau s), ...), empty for
+    elastic.
 
-    In this W the modulus K takes the place of the Lame lambda: the effective small-strain Poisson ratio is
-    K / (2 (K + mu)) (0.4277 for nu = 0.42), and dilatational waves run at sqrt((K + 2 mu) / density).
+    In this W the modulus K takes the place of the Lame lambda: the effective small-strain Poisson
+    ratio is K / (2 (K + mu)) (0.4277 for nu = 0.42), and dilatational waves run at sqrt((K + 2 mu)
+    / density).
     """
 
     mu: float

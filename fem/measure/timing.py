@@ -6,9 +6,11 @@ import numpy as np
 
 
 def alternate(actions, rounds, warm_up=1):
-    """Seconds per unit of each action, {name: array (rounds,)}: the actions take turns, so that ratios hold.
+    """Seconds per unit of each action, {name: array (rounds,)}: the actions take turns, so that
+    ratios hold.
 
-    actions: {name: callable}; a callable that does several units of work returns their number, otherwise None.
+    actions: {name: callable}; a callable that does several units of work returns their number,
+    otherwise None.
     warm_up: calls of each action before the clock runs.
     """
     for action in actions.values():

@@ -1,4 +1,5 @@
-"""The eight-node hexahedron: corners, shape functions, quadrature and hourglass vectors, in VTK node order."""
+"""The eight-node hexahedron: corners, shape functions, quadrature and hourglass vectors, in VTK
+node order."""
 
 import numpy as np
 
@@ -37,7 +38,8 @@ def shape_gradients(points):
 
 
 def quad_shape(points):
-    """Bilinear shape functions of a quadrilateral face at `points` (Q, 2) in [-1, 1]^2: (Q, 4), and gradients (Q, 2, 4)."""
+    """Bilinear shape functions of a quadrilateral face at `points` (Q, 2) in [-1, 1]^2: (Q, 4), and
+    gradients (Q, 2, 4)."""
     a, b = np.array([-1.0, 1.0, 1.0, -1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
     s, t = 1.0 + points[:, :1] * a, 1.0 + points[:, 1:] * b
     return s * t / 4.0, np.stack([a * t, b * s], axis=1) / 4.0
@@ -57,5 +59,6 @@ def corner_jacobians(x):
 
 
 def jacobians(points, cells, where):
-    """dX_i/dxi_r of cells (E, 8) with nodes at `points` (N, 3), at reference points `where` (Q, 3): (E, Q, 3, 3)."""
+    """dX_i/dxi_r of cells (E, 8) with nodes at `points` (N, 3), at reference points `where` (Q, 3):
+    (E, Q, 3, 3)."""
     return np.einsum("eai,qra->eqir", points[cells], shape_gradients(where))

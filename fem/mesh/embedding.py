@@ -1,12 +1,14 @@
-"""A mesh without a node grid of its own, embedded in one: a regular grid over its bounding box carries the fields.
+"""A mesh without a node grid of its own, embedded in one: a regular grid over its bounding box
+carries the fields.
 
-A is the trilinear interpolation from the grid to the mesh's nodes. Displacement goes to the grid as the field g that
-meets it best, and smoothly where the mesh leaves the grid free; forces go by the transpose, so that total force and
-virtual work are kept exactly:
+A is the trilinear interpolation from the grid to the mesh's nodes. Displacement goes to the grid as
+the field g that meets it best, and smoothly where the mesh leaves the grid free; forces go by the
+transpose, so that total force and virtual work are kept exactly:
 
     u -> g = argmin |A g - u|^2 + s |D g|^2      g -> A g      f -> A^T f,   (A^T f) . g = f . (A g)
 
-with D the second differences along the grid's lines: what the mesh does not determine goes on linearly.
+with D the second differences along the grid's lines: what the mesh does not determine goes on
+linearly.
 """
 
 import numpy as np
@@ -18,18 +20,22 @@ from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.node_grid import turn
 
-SMOOTHING = 1e-3  # s above; less would meet the mesh better and run wild beside it (measured on configs/lobe.toml)
+# s above; less would meet the mesh better and run wild beside it (measured on configs/lobe.toml)
+SMOOTHING = 1e-3
 SMALLEST_GRID = (4, 4, 3)  # nodes; what the CNN-LSTM needs
 UNIT = ((element.CORNERS + 1) / 2).astype(int)  # (8, 3) corners of a grid cell, in VTK order
 
 
 class Embedding:
-    """The node grid `shape` around the HexMesh `mesh`, its third axis along the mean outward normal of the loaded surface.
+    """The node grid `shape` around the HexMesh `mesh`, its third axis along the mean outward normal
+    of the loaded surface.
 
-    shape: (nx, ny, nz) nodes, along the grid's axes; None makes grid cells about as large as the mesh's
-    grid_mesh: HexMesh (m) of the grid nodes that carry material. Its cells are the fullest ones that together have the
-        mesh's volume; its nodes are those of every cell that holds some material. Fixed are those that only fixed nodes
-        of the mesh depend on.
+    shape: (nx, ny, nz) nodes, along the grid's axes; None makes grid cells about as large as the
+    mesh's
+    grid_mesh: HexMesh (m) of the grid nodes that carry material. Its cells are the fullest ones
+    that together have the
+        mesh's volume; its nodes are those of every cell that holds some material. Fixed are those
+        that only fixed nodes of the mesh depend on.
 
     Raises InputError for a grid of fewer than 2 nodes along an axis.
     """
@@ -79,7 +85,8 @@ class Embedding:
         self._solve = scipy.sparse.linalg.factorized(normal.tocsc())
 
     def displacement_to_grid(self, u):
-        """Values (..., N, 3) at the mesh's nodes as values (..., n, 3) at the nodes of grid_mesh, zero where it is fixed."""
+        """Values (..., N, 3) at the mesh's nodes as values (..., n, 3) at the nodes of grid_mesh,
+        zero where it is fixed."""
         columns = np.moveaxis(u, -2, 0).reshape(u.shape[-2], -1)  # (N, ...*3)
         grid = np.zeros((len(self._free), columns.shape[1]))
         grid[self._free] = self._solve(self._rows.T @ columns.astype(float))
@@ -137,7 +144,8 @@ def _cells(shape):
 
 
 def _filled(corners, shape):
-    """Share (C,) of each grid cell that hexahedra with corner places (E, 8, 3) fill, by sampling them."""
+    """Share (C,) of each grid cell that hexahedra with corner places (E, 8, 3) fill, by sampling
+    them."""
     n = int(
         np.clip(np.ceil(4 * np.ptp(corners, axis=1).max()), 3, 12)
     )  # samples along an edge, about four a grid cell

@@ -66,13 +66,15 @@ class HexMesh:
         return len(self.cells)
 
     def volume(self, displacement=None):
-        """Volume in m3, of the mesh displaced by `displacement` (N, 3) m if given; exact for trilinear cells."""
+        """Volume in m3, of the mesh displaced by `displacement` (N, 3) m if given; exact for
+        trilinear cells."""
         points = self.points if displacement is None else self.points + displacement
         return float(np.linalg.det(element.jacobians(points, self.cells, element.GAUSS)).sum())
 
     @cached_property
     def boundary_faces(self):
-        """(M, 4) node numbers of the faces that belong to one cell only, counter-clockwise seen from outside."""
+        """(M, 4) node numbers of the faces that belong to one cell only, counter-clockwise seen
+        from outside."""
         faces = self.cells[:, element.FACES].reshape(-1, 4)
         _, first, count = np.unique(
             np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
@@ -81,13 +83,15 @@ class HexMesh:
 
     @cached_property
     def free_faces(self):
-        """(M, 4) where contact can act: the boundary faces of the loaded surface with a node that is not fixed."""
+        """(M, 4) where contact can act: the boundary faces of the loaded surface with a node that
+        is not fixed."""
         faces = self.boundary_faces
         free = ~self.fixed[faces].all(axis=1)
         return faces[free if self.loaded is None else free & self.loaded[faces].all(axis=1)]
 
     def to_grid(self, values):
-        """(..., N, C) nodal values on the regular node grid (..., nx, ny, nz, C), zero where there is no node."""
+        """(..., N, C) nodal values on the regular node grid (..., nx, ny, nz, C), zero where there
+        is no node."""
         self._need_grid()
         grid = np.zeros(
             (*values.shape[:-2], int(np.prod(self.grid_shape)), values.shape[-1]), values.dtype

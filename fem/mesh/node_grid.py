@@ -1,4 +1,5 @@
-"""The regular node grid of a mesh that has one in its connectivity, whatever its shape and numbering."""
+"""The regular node grid of a mesh that has one in its connectivity, whatever its shape and
+numbering."""
 
 import itertools
 
@@ -13,11 +14,13 @@ OPPOSITE = np.array(
 
 
 def node_grid(mesh):
-    """(shape (nx, ny, nz), index (N,) into it in C order) of the regular node grid that `mesh` lies on, or None.
+    """(shape (nx, ny, nz), index (N,) into it in C order) of the regular node grid that `mesh` lies
+    on, or None.
 
-    Places (i, j, k) are found by walking from cell to cell through their faces, so curved and distorted blocks count, also
-    with holes and steps. The third axis points out of the loaded surface; the first runs along x as well as it can.
-    Raises InputError if the loaded surface lies on several sides of the grid.
+    Places (i, j, k) are found by walking from cell to cell through their faces, so curved and
+    distorted blocks count, also with holes and steps. The third axis points out of the loaded
+    surface; the first runs along x as well as it can. Raises InputError if the loaded surface lies
+    on several sides of the grid.
     """
     places = _walk(mesh.cells)
     if places is None:
@@ -39,7 +42,8 @@ def node_grid(mesh):
 
 
 def turn(outward, slope):
-    """The rotation (3, 3) by quarter turns, places @ turn.T, that takes the axis `outward` to +k and keeps i near x, and j near y.
+    """The rotation (3, 3) by quarter turns, places @ turn.T, that takes the axis `outward` to +k
+    and keeps i near x, and j near y.
 
     slope: (3, 3), rows d(x, y, z) along the old axes.
     """
@@ -55,13 +59,15 @@ def turn(outward, slope):
 
 
 def _outward(corners):
-    """Unit steps (M, 3) out of the faces with corner places (M, 4, 3), counter-clockwise from outside, in a right-handed grid."""
+    """Unit steps (M, 3) out of the faces with corner places (M, 4, 3), counter-clockwise from
+    outside, in a right-handed grid."""
     a, b, c, d = np.moveaxis(corners, 1, 0)
     return np.cross(c - a, d - b) // 2
 
 
 def _walk(cells):
-    """Places (N, 3) of the nodes, right-handed, or None if the cells do not form one regular grid."""
+    """Places (N, 3) of the nodes, right-handed, or None if the cells do not form one regular
+    grid."""
     neighbour, face_of = _neighbours(cells)
     places = np.zeros((cells.max() + 1, 3), int)
     places[cells[0]] = (element.CORNERS + 1) / 2
@@ -88,7 +94,8 @@ def _walk(cells):
             seen[there] = True
             reached.append(there)
         front = np.unique(np.concatenate(reached))
-    # the walk takes the first way to a node; where two ways disagree, a cell around it is no unit cube
+    # the walk takes the first way to a node; where two ways disagree, a cell around it is no unit
+    # cube
     unit = places[cells]  # (E, 8, 3)
     axes = unit[:, [1, 3, 4]] - unit[:, :1]  # (E, 3, 3)
     cube = np.einsum("ar,erc->eac", (element.CORNERS + 1).astype(int) // 2, axes) + unit[:, :1]
@@ -104,7 +111,8 @@ def _walk(cells):
 
 
 def _neighbours(cells):
-    """(E, 6) the cell behind each face, -1 for none, and (E, 6) the number of the face in that cell."""
+    """(E, 6) the cell behind each face, -1 for none, and (E, 6) the number of the face in that
+    cell."""
     faces = np.sort(cells[:, element.FACES].reshape(-1, 4), axis=1)
     order = np.lexsort(faces.T)
     same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)

@@ -18,12 +18,14 @@ from fem.mesh.select import select
 def read_mesh(path, scale=1.0, fixed=None, loaded=None):
     """The HexMesh in the file at `path`, without a node grid; see fem.mesh.node_grid for that.
 
-    scale: metres per unit of length in the file. fixed, loaded: selections (see fem.mesh.select) of the nodes that are
-    held and of the surface that is pushed on; without `loaded`, that is every boundary face that is not held.
+    scale: metres per unit of length in the file. fixed, loaded: selections (see fem.mesh.select) of
+    the nodes that are held and of the surface that is pushed on; without `loaded`, that is every
+    boundary face that is not held.
 
-    Cells keep the file's order, counted from 0 over its hexahedra. Points that no hexahedron uses are dropped; cells of
-    lower dimension only serve to select. Nothing is repaired: raises InputError that names a cell which is not a linear
-    hexahedron, inverted (its nodes not in VTK order) or degenerate, a part that is not held, and a wrong selection.
+    Cells keep the file's order, counted from 0 over its hexahedra. Points that no hexahedron uses
+    are dropped; cells of lower dimension only serve to select. Nothing is repaired: raises
+    InputError that names a cell which is not a linear hexahedron, inverted (its nodes not in VTK
+    order) or degenerate, a part that is not held, and a wrong selection.
     """
     path = Path(path)
     file = _read(path)
@@ -51,7 +53,8 @@ def read_mesh(path, scale=1.0, fixed=None, loaded=None):
 
 
 def _read(path):
-    """meshio's mesh. Raises InputError where meshio fails, and where it would leave out cells with a mere warning."""
+    """meshio's mesh. Raises InputError where meshio fails, and where it would leave out cells with
+    a mere warning."""
     if not path.is_file():
         raise InputError(f"no mesh file {path}; mesh.file is relative to the scene file")
     if path.suffix == ".vtu" and path.read_bytes().count(b"<Piece") > 1:
@@ -80,7 +83,8 @@ def _read(path):
 
 
 def _hexahedra(file):
-    """(E, 8) point numbers of every hexahedron. Raises InputError naming the first solid cell of another type."""
+    """(E, 8) point numbers of every hexahedron. Raises InputError naming the first solid cell of
+    another type."""
     if file.points.ndim != 2 or file.points.shape[1] != 3:
         raise InputError(
             f"the file's points have shape {file.points.shape}; a solid needs three coordinates each"
@@ -115,7 +119,8 @@ def _hexahedra(file):
 
 
 def _names(file, used):
-    """{name: nodes}: nodes(test) gives the (N,) bool nodes, among `used`, whose values under that name pass `test`."""
+    """{name: nodes}: nodes(test) gives the (N,) bool nodes, among `used`, whose values under that
+    name pass `test`."""
     points = np.arange(len(file.points))
     names = {}
 

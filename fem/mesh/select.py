@@ -4,11 +4,12 @@ A selection is a list of terms, separated by commas; a node is selected if any t
 
     z min, z max        the lowest or highest nodes along an axis
     z < 0.001, x > 2    a half-space, in m (after mesh.scale)
-    base                a name from the mesh file: physical group, cell or point set, or data that are not zero
+    base                a name from the mesh file: physical group, cell or point set, or data that
+    are not zero
     marker = 3          data from the mesh file that have this value
 
-With "all but " before the list it is turned round on the boundary: the nodes of every boundary face that is not wholly
-selected. So "all but top" keeps the rim of the top.
+With "all but " before the list it is turned round on the boundary: the nodes of every boundary face
+that is not wholly selected. So "all but top" keeps the rim of the top.
 """
 
 import re
@@ -24,8 +25,9 @@ NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 def select(text, mesh, names, what):
     """(N,) bool: the nodes of the HexMesh `mesh` that `text` selects.
 
-    names: {name: nodes}, with nodes(test) the (N,) bool nodes whose value under that name passes `test`. what: key of the scene, for messages, as in "mesh.fixed".
-    Raises InputError for an unknown name and for a selection without nodes.
+    names: {name: nodes}, with nodes(test) the (N,) bool nodes whose value under that name passes
+    `test`. what: key of the scene, for messages, as in "mesh.fixed". Raises InputError for an
+    unknown name and for a selection without nodes.
     """
     terms, opposite = text.strip(), text.strip().startswith("all but ")
     if opposite:

@@ -12,7 +12,8 @@ TUMOUR_EDGE = (
 
 
 def from_voxels(keep, edge, fixed):
-    """Cubes of `edge` m where `keep` (ex, ey, ez) is true, with the nodes that they use; `fixed` as in `box`."""
+    """Cubes of `edge` m where `keep` (ex, ey, ez) is true, with the nodes that they use; `fixed` as
+    in `box`."""
     shape = tuple(n + 1 for n in keep.shape)
     number = np.arange(np.prod(shape)).reshape(shape)
     offsets = ((element.CORNERS + 1) / 2).astype(int)  # (8, 3)
@@ -55,9 +56,11 @@ def box(cells, edge, fixed="all but top"):
 
 
 def tumour(edge=TUMOUR_EDGE):
-    """The paper's tumour: 1782 nodes and 1314 cubes on a 17 x 17 x 8 node grid, top free, all else fixed.
+    """The paper's tumour: 1782 nodes and 1314 cubes on a 17 x 17 x 8 node grid, top free, all else
+    fixed.
 
-    A truncated ellipsoid reproduces both counts of arXiv 2301.04614; the shape itself is not published.
+    A truncated ellipsoid reproduces both counts of arXiv 2301.04614; the shape itself is not
+    published.
     """
     x, y, z = np.meshgrid(*(np.arange(n) + 0.5 for n in (16, 16, 7)), indexing="ij")
     keep = ((x - 8.1) ** 2 + (y - 8.0) ** 2) / 8.0**2 + ((z - 5.5) / 7.0) ** 2 <= 1.10181442

@@ -1,13 +1,16 @@
 """Nodal internal forces of a hexahedral mesh, in vectorised NumPy.
 
-Arrays are components-first, (3, 8, E) and (3, 3, Q, E): each ufunc then runs over long contiguous planes. The products
-with shape gradients are matrix products with one small matrix that all cells share. What a scene does not need (stress
-history, hourglass control, cell-wise Jacobians) is chosen once, when the kernel is built.
+Arrays are components-first, (3, 8, E) and (3, 3, Q, E): each ufunc then runs over long contiguous
+planes. The products with shape gradients are matrix products with one small matrix that all cells
+share. What a scene does not need (stress history, hourglass control, cell-wise Jacobians) is chosen
+once, when the kernel is built.
 
-Stresses are in units of mu and start from H = F - I and j = J - 1, never from F and J: a strain of 1e-8 then keeps all its
-digits, in float32 too, and so does the small j of nearly incompressible tissue.
+Stresses are in units of mu and start from H = F - I and j = J - 1, never from F and J: a strain of
+1e-8 then keeps all its digits, in float32 too, and so does the small j of nearly incompressible
+tissue.
 
-    P = mu F + (K j - mu/J) cof F = H + (q - 1)(cof H - H^T) + (q + (q - 1) tr H) I,   q = j/J + K j   (mu = 1)
+    P = mu F + (K j - mu/J) cof F = H + (q - 1)(cof H - H^T) + (q + (q - 1) tr H) I,   q = j/J + K j
+      (mu = 1)
     j = tr H + tr cof H + det H,   cof F = (1 + tr H) I - H^T + cof H
 """
 
@@ -51,7 +54,8 @@ class FullCells:
         self._start_history()
 
     def _start_history(self):
-        """Rest: no relaxed stress q, no old stress, no viscous stress V = sum g q; all in units of mu."""
+        """Rest: no relaxed stress q, no old stress, no viscous stress V = sum g q; all in units of
+        mu."""
         self.history = None
         if self.force.material.prony:
             self.history = np.zeros((len(self.force.material.prony), 6, self.q, self.n))
@@ -170,7 +174,8 @@ class FullCells:
             P -= np.multiply(H[:, k, None], self.V[k], out=T)
 
     def _update_history(self, H, cof, P, J, coefficients):
-        """Advance every relaxed stress to S_e = F^-1 P_e, and refresh V; count the work done meanwhile."""
+        """Advance every relaxed stress to S_e = F^-1 P_e, and refresh V; count the work done
+        meanwhile."""
         material, force = self.force.material, self.force
         before = self._pair(H)
         stress = np.empty((6, self.q, self.n))
@@ -183,7 +188,8 @@ class FullCells:
             relaxed = relaxed + g * (q + forward * (stress - q))
         self.old_stress = stress
         self._hold(stress, relaxed)
-        # the viscous stress stood still since the last update, so its work is its product with the change of strain
+        # the viscous stress stood still since the last update, so its work is its product with the
+        # change of strain
         force.viscous_work += before - self.pairing
         self.pairing = self._pair(H)
 
@@ -233,11 +239,13 @@ _VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 class ReducedCells(FullCells):
-    """One point a cell with the mean gradient, and hourglass control (Flanagan and Belytschko 1981).
+    """One point a cell with the mean gradient, and hourglass control (Flanagan and Belytschko
+    1981).
 
-    The hourglass force k gamma (gamma . u) is exact under rotation: gamma is orthogonal to every linear field. k is a
-    share of mu, since one in proportion to K + 2 mu locks as nu goes to 0.5, and with Prony terms it relaxes as the
-    cell's stress does: left elastic, it carries the load of a long hold.
+    The hourglass force k gamma (gamma . u) is exact under rotation: gamma is orthogonal to every
+    linear field. k is a share of mu, since one in proportion to K + 2 mu locks as nu goes to 0.5,
+    and with Prony terms it relaxes as the cell's stress does: left elastic, it carries the load of
+    a long hold.
     """
 
     rule, weight = element.CENTRE, 8.0

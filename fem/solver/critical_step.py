@@ -25,11 +25,13 @@ def thickness(mesh):
 
 
 def critical_time_step(force, mass, fixed, u=None, tolerance=1e-3):
-    """2 / omega_max of the tangent stiffness at displacement u (3, N), in s, for a linear undamped leapfrog.
+    """2 / omega_max of the tangent stiffness at displacement u (3, N), in s, for a linear undamped
+    leapfrog.
 
-    The largest eigenvalue of M^-1 K comes from Lanczos iteration (power iteration that keeps its past vectors), with K v
-    by central differences of `force`, an InternalForce in float64 without Prony terms. Lanczos approaches the eigenvalue
-    from below, so the step is too large by at most about `tolerance`.
+    The largest eigenvalue of M^-1 K comes from Lanczos iteration (power iteration that keeps its
+    past vectors), with K v by central differences of `force`, an InternalForce in float64 without
+    Prony terms. Lanczos approaches the eigenvalue from below, so the step is too large by at most
+    about `tolerance`.
     """
     u = np.zeros((3, len(mass))) if u is None else u
     free = np.flatnonzero(~np.tile(fixed, 3))

@@ -13,14 +13,15 @@ LIMIT = 0.10  # imbalance at which a run stops
 
 
 class EnergyLedger:
-    """Observer for `Solver.advance`: external work against kinetic, strain, hourglass, viscous and damping energy, in J.
+    """Observer for `Solver.advance`: external work against kinetic, strain, hourglass, viscous and
+    damping energy, in J.
 
-    viscous is the work of the viscous stresses: minus the elastic energy that relaxation has spared so far.
-    imbalance is relative to the largest of external work and stored energy so far (at least 1e-6 mu V, the energy of a
-    strain of about 0.1 %, so that the first faint touch does not count). `rows` holds one balance about
-    every 128 steps, in the order of COLUMNS. Warns once when hourglass energy exceeds
-    5 % of strain energy. Raises SolverStopped("energy imbalance") beyond 10 %, there or in the last step
-    of an `advance`.
+    viscous is the work of the viscous stresses: minus the elastic energy that relaxation has spared
+    so far. imbalance is relative to the largest of external work and stored energy so far (at least
+    1e-6 mu V, the energy of a strain of about 0.1 %, so that the first faint touch does not count).
+    `rows` holds one balance about every 128 steps, in the order of COLUMNS. Warns once when
+    hourglass energy exceeds 5 % of strain energy. Raises SolverStopped("energy imbalance") beyond
+    10 %, there or in the last step of an `advance`.
     """
 
     def __init__(self):
@@ -30,7 +31,8 @@ class EnergyLedger:
         self._next, self._warned = 0, False
 
     def __call__(self, solver):
-        # velocity at `time`, second-order; the first kick is half a step long, and v_old is then that velocity itself
+        # velocity at `time`, second-order; the first kick is half a step long, and v_old is then
+        # that velocity itself
         mean = 0.5 * (solver.v_old + solver.v) if solver.steps else solver.v_old
         # the mean of the loads at both ends of a step times its displacement: exact for a dead load
         self.external += self._ahead + 0.5 * self._dt * np.vdot(solver.load, solver.v_old)
@@ -96,7 +98,8 @@ class EnergyLedger:
         return max((row[-1] for row in self.rows), default=0.0)
 
     def kinetic_share(self):
-        """Mean kinetic energy over mean strain energy: below 0.05 the motion is slow enough for mass scaling."""
+        """Mean kinetic energy over mean strain energy: below 0.05 the motion is slow enough for
+        mass scaling."""
         rows = np.array(self.rows)
         return float(rows[:, 1].mean() / max(rows[:, 2].mean(), 1e-300))
 

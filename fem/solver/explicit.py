@@ -1,4 +1,5 @@
-"""Explicit central-difference time integration (leapfrog) of a hexahedral mesh under nodal loads."""
+"""Explicit central-difference time integration (leapfrog) of a hexahedral mesh under nodal
+loads."""
 
 import numpy as np
 
@@ -9,7 +10,9 @@ from fem.solver.internal_force import InternalForce
 
 BLOCK = 16  # most steps between load samples and guards
 STRIDE = 64  # most steps between updates of the viscous stress
-LOCKING_NU = 0.45  # above it the full element is more than 8 % too stiff under a footprint of 4 cells' radius, see docs/stability.md
+# above it the full element is more than 8 % too stiff under a footprint of 4 cells' radius, see
+# docs/stability.md
+LOCKING_NU = 0.45
 SMALLEST_J = 0.05  # below it a cell has lost its meaning, and p = K (J - 1) - mu / J runs away
 STANDSTILL = (
     0.004  # share of the shortest relaxation time for which the viscous stress may stand still
@@ -26,16 +29,19 @@ NEGLIGIBLE = 1e-30  # m and m/s: subnormal numbers would slow a step sixteen-fol
 
 
 class Solver:
-    """The state of one explicit simulation: displacement u and velocity v (3, N) in m and m/s, time in s.
+    """The state of one explicit simulation: displacement u and velocity v (3, N) in m and m/s, time
+    in s.
 
-    mesh, material, element, precision, hourglass_stiffness: see fem.solver.internal_force.InternalForce
+    mesh, material, element, precision, hourglass_stiffness: see
+    fem.solver.internal_force.InternalForce
     damping: mass-proportional damping rate alpha, 1/s: force -alpha m v
-    mass_scaling: factor on the density, one or one a cell (E,), for slow scenes; the stable step grows with its root
+    mass_scaling: factor on the density, one or one a cell (E,), for slow scenes; the stable step
+    grows with its root
     safety: share of the critical time step that is used
 
-    The step is estimated again whenever the tissue has stiffened, and is shortened while cells are compressed fast. A run
-    that cannot go on raises SolverStopped, whose `reason` is "diverged", "crushed cell", "inverted cell",
-    "no stable step", "step too large" or "too many steps".
+    The step is estimated again whenever the tissue has stiffened, and is shortened while cells are
+    compressed fast. A run that cannot go on raises SolverStopped, whose `reason` is "diverged",
+    "crushed cell", "inverted cell", "no stable step", "step too large" or "too many steps".
     """
 
     def __init__(
@@ -101,7 +107,8 @@ class Solver:
         self.estimate_step()
 
     def estimate_step(self):
-        """Set `critical_step` from the present state. Raises SolverStopped("inverted cell") if a corner is turned inside out."""
+        """Set `critical_step` from the present state. Raises SolverStopped("inverted cell") if a
+        corner is turned inside out."""
         corners = element.corner_jacobians(
             (self.mesh.points.T + self.u)[:, self.mesh.cells.T]
         )  # (8, E)
@@ -122,13 +129,14 @@ class Solver:
     def advance(self, duration, load, observers=(), steps=None):
         """Integrate `duration` seconds under the nodal force `load(t)` (3, N) in N.
 
-        The load is sampled every 16 steps, more often where it bends, and runs linearly between: what starts and ends
-        between two samples is not seen.
+        The load is sampled every 16 steps, more often where it bends, and runs linearly between:
+        what starts and ends between two samples is not seen.
 
-        steps: take exactly this many, for a fixed latency, and stop where duration / steps exceeds the critical step;
-        otherwise as many as the stable step asks for, and more when the tissue stiffens on the way.
-        observers: each is called as observer(solver) in every step, when u, the force and load at `time` and the
-        velocities half a step before (v_old) and after (v) are known.
+        steps: take exactly this many, for a fixed latency, and stop where duration / steps exceeds
+        the critical step; otherwise as many as the stable step asks for, and more when the tissue
+        stiffens on the way.
+        observers: each is called as observer(solver) in every step, when u, the force and load at
+        `time` and the velocities half a step before (v_old) and after (v) are known.
         """
         end = self.time + duration
         remaining = steps
@@ -170,7 +178,8 @@ class Solver:
         return max(1, int(np.ceil((end - self.time) / dt * (1 - 1e-12))))
 
     def _sample(self, load, load_now, dt, count):
-        """(steps, load at their end): up to `count`, fewer where the load bends away from its ramp so far."""
+        """(steps, load at their end): up to `count`, fewer where the load bends away from its ramp
+        so far."""
         while True:
             load_next = np.asarray(load(self.time + count * dt), float)
             self._load_size = max(self._load_size, np.abs(load_next).max())
@@ -183,7 +192,8 @@ class Solver:
             count //= 2
 
     def _expect_jump(self, load):
-        """Under a sudden load, start with a step in which no node moves farther than a small part of a cell."""
+        """Under a sudden load, start with a step in which no node moves farther than a small part
+        of a cell."""
         acceleration = np.abs(
             (load - self.load) * self._inverse_mass
         ).max()  # a NaN is left to the guard
@@ -193,7 +203,8 @@ class Solver:
             )
 
     def _block(self, dt, count, left, load_now, load_next, observers):
-        """Up to `count` of the `left` steps, fewer if a cell is compressed fast: the number taken."""
+        """Up to `count` of the `left` steps, fewer if a cell is compressed fast: the number
+        taken."""
         np.copyto(self.load, load_now)
         slope = (load_next - load_now) / count
         ramp = slope.any()
@@ -219,7 +230,8 @@ class Solver:
         return count
 
     def _pressed(self, dt):
-        """Whether the guard must look now: a cell is crushed, near it, or on its way by the next step."""
+        """Whether the guard must look now: a cell is crushed, near it, or on its way by the next
+        step."""
         J, loss = self.force.min_J, self._last_J - self.force.min_J
         self._last_J = J
         if loss > FASTEST_CRUSH * J:
@@ -228,11 +240,13 @@ class Solver:
         return not J >= 0.9 * self._state_at_estimate[0]
 
     def _viscous_stride(self, dt):
-        """Steps for which the viscous stress may stand still: a small part of the shortest relaxation time."""
+        """Steps for which the viscous stress may stand still: a small part of the shortest
+        relaxation time."""
         return min(STRIDE, max(1, int(STANDSTILL * self._shortest_relaxation / dt)))
 
     def _kick(self, dt):
-        """v at the next half step; the first kick is half a step long, and a change of step takes the mean of both."""
+        """v at the next half step; the first kick is half a step long, and a change of step takes
+        the mean of both."""
         kick = (self.dt + dt) / 2
         self.dt = dt
         self.v_old, self.v = self.v, self.v_old
@@ -246,7 +260,8 @@ class Solver:
             self.v += self.v_old
 
     def _guard(self):
-        """After each block: finite, not crushed, not past the stable step; flush what is too small to matter."""
+        """After each block: finite, not crushed, not past the stable step; flush what is too small
+        to matter."""
         force = self.force
         if force.min_J <= SMALLEST_J:
             raise SolverStopped(
@@ -263,7 +278,8 @@ class Solver:
         for field in (self.u, self.v):
             field[np.abs(field) < NEGLIGIBLE] = 0.0
         J, stiffening = self._state_at_estimate
-        # measured on loaded tissue: the critical step changes by at most 4 % between two estimates made so, far inside
+        # measured on loaded tissue: the critical step changes by at most 4 % between two estimates
+        # made so, far inside
         # the usual margin of 15 %; the last condition gives the longer step back after a release
         if force.min_J < 0.9 * J or force.stiffening > 1.05 * stiffening or force.min_J > 1.11 * J:
             self.estimate_step()

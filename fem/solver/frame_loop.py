@@ -1,4 +1,5 @@
-"""The FEM as a real-time loop: a force array comes every frame, a fixed number of time steps answers it."""
+"""The FEM as a real-time loop: a force array comes every frame, a fixed number of time steps
+answers it."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,8 @@ from fem.mesh.embedding import Embedding
 from fem.mesh.shapes import from_voxels
 from fem.solver.explicit import Solver
 
-SAFETY = 0.75  # share of the critical step at rest: under the hardest pushes of the tumour's data it falls by 23 %
+# share of the critical step at rest: under the hardest pushes of the tumour's data it falls by 23 %
+SAFETY = 0.75
 UPDATE = 11  # steps of a loop between updates of the viscous stress, or more where they are short
 
 
@@ -17,10 +19,13 @@ UPDATE = 11  # steps of a loop between updates of the viscous stress, or more wh
 class Competitor:
     """Settings of one loop.
 
-    element, hourglass_stiffness: see fem.solver.internal_force.InternalForce; coarse: on half as many cells along each axis
+    element, hourglass_stiffness: see fem.solver.internal_force.InternalForce; coarse: on half as
+    many cells along each axis
     frame: s between two forces; steps: time steps that a frame may take
-    damping: mass-proportional damping times the longest safe step: the share of its velocity that the tissue loses in such a step
-    rise: share of the frame over which the load goes from the last force to this one; the rest of the frame settles
+    damping: mass-proportional damping times the longest safe step: the share of its velocity that
+    the tissue loses in such a step
+    rise: share of the frame over which the load goes from the last force to this one; the rest of
+    the frame settles
     """
 
     element: str
@@ -37,10 +42,12 @@ class Competitor:
 
 
 class LoopSolver(Solver):
-    """A Solver whose stable step is estimated at rest alone: in a loop there is no time for it, and SAFETY leaves room for what a load changes.
+    """A Solver whose stable step is estimated at rest alone: in a loop there is no time for it, and
+    SAFETY leaves room for what a load changes.
 
-    A step that is too long after all ends in SolverStopped, as "diverged" or "crushed cell". The viscous stress, which a few
-    steps hardly change, is brought up to date once in UPDATE steps at most, for that costs as much as three steps.
+    A step that is too long after all ends in SolverStopped, as "diverged" or "crushed cell". The
+    viscous stress, which a few steps hardly change, is brought up to date once in UPDATE steps at
+    most, for that costs as much as three steps.
     """
 
     def __init__(self, *arguments, steps, **options):
@@ -57,10 +64,12 @@ class LoopSolver(Solver):
 
 
 class FrameLoop:
-    """One competitor, warm-started from frame to frame: loop(force (nx, ny, nz, 3) mN) is the displacement (nx, ny, nz, 3) mm.
+    """One competitor, warm-started from frame to frame: loop(force (nx, ny, nz, 3) mN) is the
+    displacement (nx, ny, nz, 3) mm.
 
-    The frame's steps are of equal length. Where that is beyond the stable step the mass is scaled up, just enough. Attributes:
-    solver, mass_scaling, and damping_rate in 1/s. Raises SolverStopped where the FEM cannot go on.
+    The frame's steps are of equal length. Where that is beyond the stable step the mass is scaled
+    up, just enough. Attributes: solver, mass_scaling, and damping_rate in 1/s. Raises SolverStopped
+    where the FEM cannot go on.
     """
 
     def __init__(self, dataset, competitor):
@@ -124,7 +133,8 @@ def _solver(make, mesh, dataset, competitor, **options):
 
 
 def loop_mesh(dataset, competitor):
-    """(HexMesh, A or None) that a competitor simulates, see `coarse_mesh`. Raises InputError if the scene's mesh has no node grid."""
+    """(HexMesh, A or None) that a competitor simulates, see `coarse_mesh`. Raises InputError if the
+    scene's mesh has no node grid."""
     mesh = dataset.fem_mesh
     if mesh.grid_shape is None:
         raise InputError(
@@ -134,10 +144,12 @@ def loop_mesh(dataset, competitor):
 
 
 def coarse_mesh(mesh):
-    """(HexMesh, A): a tumour or box with half as many cells along each axis, and displacement from its nodes to those of `mesh`, (N, n) sparse.
+    """(HexMesh, A): a tumour or box with half as many cells along each axis, and displacement from
+    its nodes to those of `mesh`, (N, n) sparse.
 
-    An odd number of cells rounds to even, the cells then are no cubes. Of the coarse grid those cells are kept that are fullest and
-    together have the volume of `mesh`; A is trilinear interpolation, so that forces go the other way by its transpose (see fem.embedding).
+    An odd number of cells rounds to even, the cells then are no cubes. Of the coarse grid those
+    cells are kept that are fullest and together have the volume of `mesh`; A is trilinear
+    interpolation, so that forces go the other way by its transpose (see fem.embedding).
     """
     shape = tuple(max(1, round((n - 1) / 2)) + 1 for n in mesh.grid_shape)
     embedding = Embedding(mesh, shape)

@@ -14,15 +14,17 @@ ELEMENTS = ("full", "reduced", "mean_dilatation")
 
 
 class InternalForce:
-    """f(u) for one mesh and material; call it with u (3, N) in m to get the internal force (3, N) in N.
+    """f(u) for one mesh and material; call it with u (3, N) in m to get the internal force (3, N)
+    in N.
 
-    element: "full" (2 x 2 x 2 points), "mean_dilatation" (the same with one pressure a cell, which does not lock as nu
-    goes to 0.5) or "reduced" (one point and hourglass control).
+    element: "full" (2 x 2 x 2 points), "mean_dilatation" (the same with one pressure a cell, which
+    does not lock as nu goes to 0.5) or "reduced" (one point and hourglass control).
     precision: "float64" or "float32" for the work inside cells; nodal vectors are float64 in both.
     hourglass_stiffness: in units of mu, used by "reduced" alone.
 
-    After a call, `min_J` and its `worst_cell` describe that state, and so does `stiffening` if `check` was true. With Prony terms the viscous part of
-    the stress is brought up to date by `relax(dt)` before a call, and is otherwise kept as it was.
+    After a call, `min_J` and its `worst_cell` describe that state, and so does `stiffening` if
+    `check` was true. With Prony terms the viscous part of the stress is brought up to date by
+    `relax(dt)` before a call, and is otherwise kept as it was.
     """
 
     def __init__(
@@ -59,14 +61,17 @@ class InternalForce:
         return self._scratch[key]
 
     def relax(self, elapsed, ahead=0.0):
-        """Let the next call advance the stress history by `elapsed` seconds, and hold it for `ahead` seconds.
+        """Let the next call advance the stress history by `elapsed` seconds, and hold it for
+        `ahead` seconds.
 
-        The held stress is that of the middle of those seconds, which makes standing still second-order accurate.
+        The held stress is that of the middle of those seconds, which makes standing still
+        second-order accurate.
         """
         self._relax = float(elapsed), float(ahead)
 
     def forget(self):
-        """Drop the stress history: from here on the tissue relaxes as if it had been at rest until now."""
+        """Drop the stress history: from here on the tissue relaxes as if it had been at rest until
+        now."""
         for chunk in self._chunks:
             chunk._start_history()
 
@@ -88,12 +93,14 @@ class InternalForce:
         return out
 
     def energies(self, u):
-        """(strain, hourglass) energy in J of the displacement u (3, N), the strain energy without relaxation."""
+        """(strain, hourglass) energy in J of the displacement u (3, N), the strain energy without
+        relaxation."""
         u = u if u.dtype == self.dtype else u.astype(self.dtype)
         return tuple(np.sum([chunk.energies(u) for chunk in self._chunks], axis=0))
 
     def viscous_energy(self, u):
-        """Work in J of the viscous stresses up to the displacement u (3, N): minus what relaxation has spared so far."""
+        """Work in J of the viscous stresses up to the displacement u (3, N): minus what relaxation
+        has spared so far."""
         u = u if u.dtype == self.dtype else u.astype(self.dtype)
         return self.viscous_work + sum(chunk.pending_work(u) for chunk in self._chunks)
 

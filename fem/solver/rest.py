@@ -16,7 +16,8 @@ RAMPS = (
 
 
 class Equilibrium(NamedTuple):
-    """displacement (N, 3) m; residual: |internal - external| / |external| over the free nodes; steps taken."""
+    """displacement (N, 3) m; residual: |internal - external| / |external| over the free nodes;
+    steps taken."""
 
     displacement: np.ndarray
     residual: float
@@ -26,13 +27,13 @@ class Equilibrium(NamedTuple):
 def equilibrium(mesh, material, load, residual=1e-6, element="full", max_steps=50_000):
     """The state of rest under dead nodal loads (N, 3) in N, by dynamic relaxation: an Equilibrium.
 
-    With Prony terms it is the fully relaxed state, in which the stress is g0 times the elastic one; give the material
-    without them for the instantaneous answer. The load climbs over the first steps, more slowly if that crushes a cell on
-    the way, and the damping follows the lowest frequency that the motion shows (Underwood 1983), so that this mode is
-    damped critically.
+    With Prony terms it is the fully relaxed state, in which the stress is g0 times the elastic one;
+    give the material without them for the instantaneous answer. The load climbs over the first
+    steps, more slowly if that crushes a cell on the way, and the damping follows the lowest
+    frequency that the motion shows (Underwood 1983), so that this mode is damped critically.
 
-    Raises InputError for a load of the wrong shape or not finite, SolverStopped("not at rest") when `residual` is
-    not reached in `max_steps`, and whatever Solver.advance raises.
+    Raises InputError for a load of the wrong shape or not finite, SolverStopped("not at rest") when
+    `residual` is not reached in `max_steps`, and whatever Solver.advance raises.
     """
     load = np.array(load, float)
     if load.shape != mesh.points.shape or not np.isfinite(load).all():

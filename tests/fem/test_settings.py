@@ -1,4 +1,5 @@
-"""Scenes and configurations: strict keys and types, overrides, and a digest that sees every setting."""
+"""Scenes and configurations: strict keys and types, overrides, and a digest that sees every
+setting."""
 
 import copy
 import tomllib
@@ -26,7 +27,8 @@ def leaves(tree, where=()):
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.name)
 def test_shipped_scenes_load(path):
-    """Every scene in configs/ is valid, has the paper's tissue, and builds its mesh: the tumour on 17 x 17 x 8 nodes."""
+    """Every scene in configs/ is valid, has the paper's tissue, and builds its mesh: the tumour on
+    17 x 17 x 8 nodes."""
     scene = load_scene(path)
     assert (scene.material.mu, scene.material.nu) == (400.0, 0.42)
     mesh = scene.mesh.build()
@@ -34,7 +36,8 @@ def test_shipped_scenes_load(path):
 
 
 def test_scene_of_the_paper_has_its_sample_counts():
-    """tumour.toml: 100 test interactions of which 78-85 are hard, about 1210 training and 300 validation frames."""
+    """tumour.toml: 100 test interactions of which 78-85 are hard, about 1210 training and 300
+    validation frames."""
     scene = load_scene(CONFIGS / "tumour.toml")
     assert scene.interactions.test == 100 and scene.interactions.hard == (78, 85)
     assert scene.interactions.train * scene.frames.count == pytest.approx(1210, rel=0.02)
@@ -80,7 +83,8 @@ def test_unknown_key_names_the_nearest_valid_one(tiny, wrong, right):
     ],
 )
 def test_wrong_type_names_key_and_value(tiny, wrong, message):
-    """A value of the wrong type or length is an InputError that names key, value and what it must be."""
+    """A value of the wrong type or length is an InputError that names key, value and what it must
+    be."""
     with pytest.raises(InputError) as error:
         config.build(Scene, config.merge(tiny, wrong))
     assert message in str(error.value)
@@ -118,7 +122,8 @@ def test_missing_key_and_missing_table_are_named(tiny):
 
 
 def test_missing_and_malformed_files(tmp_path):
-    """A missing file names its neighbours, a malformed one its first wrong line; both on one line."""
+    """A missing file names its neighbours, a malformed one its first wrong line; both on one
+    line."""
     (tmp_path / "other.toml").write_text("[mesh\n")
     with pytest.raises(
         InputError, match="no configuration file .*missing.toml; beside it are other.toml"
@@ -134,7 +139,8 @@ def test_missing_and_malformed_files(tmp_path):
 
 
 def test_toml_round_trip(tiny):
-    """A scene written as TOML and read again is the same scene; texts, flags and tiny numbers survive."""
+    """A scene written as TOML and read again is the same scene; texts, flags and tiny numbers
+    survive."""
     scene = config.build(Scene, tiny)
     assert config.build(Scene, tomllib.loads(scene.toml())) == scene
     tree = {
@@ -152,7 +158,8 @@ def test_toml_round_trip(tiny):
 
 
 def test_overrides():
-    """key=value words become nested values, as TOML where it is TOML and as text where it is not."""
+    """key=value words become nested values, as TOML where it is TOML and as text where it is
+    not."""
     words = [
         "train.epochs=3",
         "train.rate=1e-4",
@@ -184,7 +191,8 @@ def test_merge_goes_table_by_table():
 
 
 def test_digest_changes_with_any_setting(tiny):
-    """Each single setting, given or default, changes the digest; giving a default explicitly does not."""
+    """Each single setting, given or default, changes the digest; giving a default explicitly does
+    not."""
     scene = config.build(Scene, tiny)
     full = tomllib.loads(scene.toml())
     assert config.build(Scene, full).digest() == scene.digest()

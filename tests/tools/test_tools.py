@@ -1,4 +1,5 @@
-"""The command lines that make a run smaller, export it and time it, from end to end on an untrained network of 5 x 5 x 3 nodes."""
+"""The command lines that make a run smaller, export it and time it, from end to end on an untrained
+network of 5 x 5 x 3 nodes."""
 
 import json
 import os

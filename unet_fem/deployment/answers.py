@@ -7,7 +7,8 @@ import numpy as np
 
 
 def answers(path, force):
-    """What the surrogate at `path` says on force (I, F, nx, ny, nz, 3) mN, frame by frame, each interaction from rest: (I*F, ...) mm."""
+    """What the surrogate at `path` says on force (I, F, nx, ny, nz, 3) mN, frame by frame, each
+    interaction from rest: (I*F, ...) mm."""
     from unet_fem.runtime.surrogate import Surrogate
 
     surrogate = Surrogate(path, threads=os.cpu_count())

@@ -1,9 +1,11 @@
-"""The networks in two dimensions: every 3-D layer expressed by operators that TensorFlow Lite has for a CPU.
+"""The networks in two dimensions: every 3-D layer expressed by operators that TensorFlow Lite has
+for a CPU.
 
-As Keras writes them the networks convert to nothing that runs: MaxPooling3D has no builtin operator, CONV_3D stays
-float32 whatever is asked for, and slices of six dimensions fail at run time. Here each layer works on arrays that
-take x as the batch, (B*nx, ny, nz, C), over the model's own graph; B is 1, or the window's steps where the CNN-LSTM
-folds time into the batch. Between layers arrays keep Keras's shape: the converter removes the reshapes.
+As Keras writes them the networks convert to nothing that runs: MaxPooling3D has no builtin
+operator, CONV_3D stays float32 whatever is asked for, and slices of six dimensions fail at run
+time. Here each layer works on arrays that take x as the batch, (B*nx, ny, nz, C), over the model's
+own graph; B is 1, or the window's steps where the CNN-LSTM folds time into the batch. Between
+layers arrays keep Keras's shape: the converter removes the reshapes.
 """
 
 import math
@@ -18,7 +20,8 @@ from unet_fem.networks.layers import float32_twin
 
 
 def reexpress(model):
-    """The float32 model with batch 1 and every 3-D layer expressed by 2-D operators, as a Keras model."""
+    """The float32 model with batch 1 and every 3-D layer expressed by 2-D operators, as a Keras
+    model."""
 
     def clone(layer):
         if type(layer) not in EXPRESSIONS:
@@ -56,7 +59,8 @@ def _check(layer):
 
 
 def _around(x, axis):
-    """x as (before, n, after): everything that happens along one axis happens here in three dimensions."""
+    """x as (before, n, after): everything that happens along one axis happens here in three
+    dimensions."""
     return tf.reshape(x, (math.prod(x.shape[:axis]), x.shape[axis], math.prod(x.shape[axis + 1 :])))
 
 
@@ -129,7 +133,8 @@ def _concatenate(layer, weights, parts):
 
 
 def _bilstm(layer, weights, x):
-    """Keras's LSTM cell, gates (input, forget, cell, output), written out; all steps' inputs in one product."""
+    """Keras's LSTM cell, gates (input, forget, cell, output), written out; all steps' inputs in one
+    product."""
     _, steps, features = x.shape
     units = layer.forward_layer.units
     kernel = np.concatenate(weights[::3], axis=1)  # (features, 8 units)

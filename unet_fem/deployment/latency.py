@@ -1,6 +1,8 @@
-"""What is timed when a run's latency is measured: {name: action} for fem.measure.timing.alternate, all with the same threads.
+"""What is timed when a run's latency is measured: {name: action} for fem.measure.timing.alternate,
+all with the same threads.
 
-Every action answers one force array with one displacement array at batch 1, as a control loop would call it.
+Every action answers one force array with one displacement array at batch 1, as a control loop would
+call it.
 """
 
 import os
@@ -20,7 +22,8 @@ LIBRARIES = ("tensorflow", "keras", "ai-edge-litert", "numpy", "scipy")
 
 
 def use_threads(threads):
-    """Hold TensorFlow and the BLAS of this process to `threads` threads; LiteRT is told by each interpreter.
+    """Hold TensorFlow and the BLAS of this process to `threads` threads; LiteRT is told by each
+    interpreter.
 
     Raises InputError where TensorFlow has run already, for then it keeps the threads that it has.
     """
@@ -37,10 +40,11 @@ def use_threads(threads):
 
 
 def network_actions(settings, dataset, threads=1):
-    """{"Keras call": action, "tf.function": action, "float32": action, ...}: the forms of one run, each .tflite by its name.
+    """{"Keras call": action, "tf.function": action, "float32": action, ...}: the forms of one run,
+    each .tflite by its name.
 
-    Each answers the last frame of the first test interaction. threads: of LiteRT; TensorFlow's are set by `use_threads`.
-    Raises InputError for a run without .tflite files.
+    Each answers the last frame of the first test interaction. threads: of LiteRT; TensorFlow's are
+    set by `use_threads`. Raises InputError for a run without .tflite files.
     """
     import tensorflow as tf
 
@@ -72,7 +76,8 @@ def lite_files(settings):
 
 
 def surrogate_action(path, force, threads=1):
-    """One step of the surrogate at `path` under force (nx, ny, nz, 3) mN, with its window and its checks."""
+    """One step of the surrogate at `path` under force (nx, ny, nz, 3) mN, with its window and its
+    checks."""
     from unet_fem.runtime.surrogate import Surrogate
 
     surrogate, out = Surrogate(path, threads), np.empty(force.shape, "float32")
@@ -80,7 +85,8 @@ def surrogate_action(path, force, threads=1):
 
 
 def graph_action(path, threads=1):
-    """The interpreter's own work on the surrogate at `path`, without the window, the checks and the copies around it."""
+    """The interpreter's own work on the surrogate at `path`, without the window, the checks and the
+    copies around it."""
     from ai_edge_litert.interpreter import Interpreter
 
     interpreter = Interpreter(str(path), num_threads=threads)
@@ -89,7 +95,8 @@ def graph_action(path, threads=1):
 
 
 def fem_action(dataset, kind):
-    """FRAME seconds of the dataset's tissue in float32 elements of `kind`, at its stable step and true mass, from the state before."""
+    """FRAME seconds of the dataset's tissue in float32 elements of `kind`, at its stable step and
+    true mass, from the state before."""
     scene = dataset.scene
     mesh = scene.mesh.build()
     load = np.zeros((3, mesh.n_nodes))
@@ -100,7 +107,8 @@ def fem_action(dataset, kind):
 
 
 def peak_memory(path, threads=1):
-    """Peak resident memory in MB of a process that loads the surrogate at `path` and steps it, TensorFlow left out."""
+    """Peak resident memory in MB of a process that loads the surrogate at `path` and steps it,
+    TensorFlow left out."""
     code = (
         "import sys, numpy as np; from unet_fem.runtime import Surrogate; s = Surrogate(sys.argv[1], int(sys.argv[2]));"
         " f = np.zeros((*s.grid, 3), 'float32'); [s.step(f) for _ in range(50)];"

@@ -1,7 +1,9 @@
-"""Two ways to make a trained network smaller: zeros inside its convolutions, and fewer filters or units.
+"""Two ways to make a trained network smaller: zeros inside its convolutions, and fewer filters or
+units.
 
-`magnitude_prune` is the paper's way, by the TensorFlow Model Optimization toolkit: it works on Keras 2 models only and
-switches its process to them, so keep it in a process of its own (tools/prune.py). `thin` removes whole filters.
+`magnitude_prune` is the paper's way, by the TensorFlow Model Optimization toolkit: it works on
+Keras 2 models only and switches its process to them, so keep it in a process of its own
+(tools/prune.py). `thin` removes whole filters.
 """
 
 import math
@@ -26,10 +28,12 @@ def magnitude_prune(
     learning_rate=1e-4,
     precision="float32",
 ):
-    """Fine-tune `model` while a polynomial schedule drives `sparsity` (0-1) of its convolutions' weights to zero.
+    """Fine-tune `model` while a polynomial schedule drives `sparsity` (0-1) of its convolutions'
+    weights to zero.
 
-    inputs, targets: training samples as `model.fit` takes them; loss(y_true, y_pred). The schedule ends at half of the
-    epochs, and the rest recovers. precision: Keras's policy for the fine-tuning. Changes the weights of `model` in place.
+    inputs, targets: training samples as `model.fit` takes them; loss(y_true, y_pred). The schedule
+    ends at half of the epochs, and the rest recovers. precision: Keras's policy for the
+    fine-tuning. Changes the weights of `model` in place.
     """
     import tensorflow_model_optimization as tfmot
     import tf_keras
@@ -41,7 +45,8 @@ def magnitude_prune(
 
     def wrap(layer):
         if isinstance(layer, tf_keras.layers.Conv3D):
-            # float32: masks and weights; under a mixed policy the wrapper would round the weights in every step
+            # float32: masks and weights; under a mixed policy the wrapper would round the weights
+            # in every step
             return tfmot.sparsity.keras.prune_low_magnitude(
                 layer, pruning_schedule=schedule, dtype="float32"
             )
@@ -97,7 +102,8 @@ def legacy_twin(model):
 
 
 def rebuild(model, filters=None, units=None):
-    """A network like `model` with its scales and mask, and other `filters` (U-Net) or `units` (CNN-LSTM) if given."""
+    """A network like `model` with its scales and mask, and other `filters` (U-Net) or `units`
+    (CNN-LSTM) if given."""
     scale = np.asarray(model.get_layer("displacement").scale, "float32")
     displacement_scale = float(np.abs(scale).max())
     common = {
@@ -114,9 +120,11 @@ def rebuild(model, filters=None, units=None):
 
 
 def thin(model, size):
-    """`model` with fewer filters (U-Net: `size` in the first convolution) or units (CNN-LSTM), keeping the weightiest.
+    """`model` with fewer filters (U-Net: `size` in the first convolution) or units (CNN-LSTM),
+    keeping the weightiest.
 
-    A filter counts by the L1 norm of its weights; a channel of the LSTM's block by the norm of the weights that read it.
+    A filter counts by the L1 norm of its weights; a channel of the LSTM's block by the norm of the
+    weights that read it.
     """
     small = rebuild(model, filters=size, units=size)
     (_thin_unet if model.name == "unet" else _thin_cnn_lstm)(model, small)
@@ -143,7 +151,8 @@ def _thin_unet(model, small):
         "decoder_conv1",
     ):
         x = shrink(name, x)
-    # the skip connection brings the second convolution's channels behind those of the first of the decoder
+    # the skip connection brings the second convolution's channels behind those of the first of the
+    # decoder
     x = np.concatenate([x, kept["encoder_conv2"] + model.get_layer("decoder_conv1").filters])
     for name in (f"decoder_conv{n}" for n in range(2, 7)):
         x = shrink(name, x)
@@ -156,7 +165,8 @@ def _thin_cnn_lstm(model, small):
     )
     kernel, bias = model.get_layer("decoder_conv").get_weights()
     norms = np.abs(kernel).sum(axis=(0, 1, 2, 4))
-    # in a block of an odd number of cells the directions meet inside a cell: keep as many channels of each
+    # in a block of an odd number of cells the directions meet inside a cell: keep as many channels
+    # of each
     halves = 1 + math.prod(model.get_layer("block").target_shape[:-1]) % 2
     keep = np.concatenate(
         [
@@ -169,7 +179,8 @@ def _thin_cnn_lstm(model, small):
         small.get_layer(name).set_weights(model.get_layer(name).get_weights())
     lstm = model.get_layer("bilstm")
     units = lstm.forward_layer.units
-    # output u of the two directions side by side is channel u mod C of the block: keep the same channels in every cell
+    # output u of the two directions side by side is channel u mod C of the block: keep the same
+    # channels in every cell
     stays = np.isin(np.arange(2 * units) % channels, keep)
     weights = []
     for direction, half in (

@@ -1,8 +1,11 @@
-"""From a trained Keras model to TensorFlow Lite for a CPU, in float32, float16, dynamic-range int8 and full int8.
+"""From a trained Keras model to TensorFlow Lite for a CPU, in float32, float16, dynamic-range int8
+and full int8.
 
-"dynamic" has int8 weights, one scale a channel, and quantizes activations as they come. "int8" has int8 activations
-too, in ranges that calibration has seen, but for the last convolution: it has int8 weights and float32 activations,
-and so have the scale and mask after it. Forces go in in mN and displacements come out in mm in every variant.
+"dynamic" has int8 weights, one scale a channel, and quantizes activations as they come. "int8" has
+int8 activations
+too, in ranges that calibration has seen, but for the last convolution: it has int8 weights and
+float32 activations, and so have the scale and mask after it. Forces go in in mN and displacements
+come out in mm in every variant.
 """
 
 import os
@@ -30,10 +33,12 @@ WEIGHTED = ("CONV_2D", "FULLY_CONNECTED")  # operators whose second input is the
 
 
 def export(model, variant, windows=None):
-    """The bytes of a .tflite file that maps one force window in mN, shape (1, *model.input_shape[1:]), to mm.
+    """The bytes of a .tflite file that maps one force window in mN, shape (1,
+    *model.input_shape[1:]), to mm.
 
-    variant: one of VARIANTS. windows: (S, [T,] nx, ny, nz, 3) mN, for int8 only, see `calibration_windows`.
-    Raises InputError for a layer that has no 2-D expression, and for int8 without windows; see also `audit`.
+    variant: one of VARIANTS. windows: (S, [T,] nx, ny, nz, 3) mN, for int8 only, see
+    `calibration_windows`. Raises InputError for a layer that has no 2-D expression, and for int8
+    without windows; see also `audit`.
     """
     if variant not in VARIANTS:
         raise InputError(f"variant '{variant}' is not one of {', '.join(VARIANTS)}")
@@ -59,7 +64,8 @@ def export(model, variant, windows=None):
 
 @contextmanager
 def quiet():
-    """Hold back what the converter's C++ writes to this process's standard error, and show it if it fails."""
+    """Hold back what the converter's C++ writes to this process's standard error, and show it if it
+    fails."""
     sys.stderr.flush()
     kept = os.dup(2)
     with tempfile.TemporaryFile() as held:
@@ -78,12 +84,15 @@ def quiet():
 
 
 def calibration_windows(force, count=64, margin=1.5, seed=1):
-    """Force windows that show int8 its ranges: a random half of `count`, and the strongest half, `margin` times over.
+    """Force windows that show int8 its ranges: a random half of `count`, and the strongest half,
+    `margin` times over.
 
-    Without a margin any force above the training's is clipped: on test interactions that push up to 1.6 times as hard
-    the trained CNN-LSTM is then eight times as far from Keras (7.4 % against 0.9 %).
+    Without a margin any force above the training's is clipped: on test interactions that push up to
+    1.6 times as hard the trained CNN-LSTM is then eight times as far from Keras (7.4 % against 0.9
+    %).
 
-    force: training windows (S, [T,] nx, ny, nz, 3) mN. Returns (count, [T,] nx, ny, nz, 3), or fewer if S is small.
+    force: training windows (S, [T,] nx, ny, nz, 3) mN. Returns (count, [T,] nx, ny, nz, 3), or
+    fewer if S is small.
     """
     half = min(count // 2, len(force))
     strongest = np.argsort(np.abs(force).reshape(len(force), -1).max(axis=1))[-half:]
@@ -119,7 +128,8 @@ def _operator(parts, op):
 
 
 def _quantize_float_weights(data):
-    """`data` with the weights that the converter left in float32 (the small, and the denied ones) in int8, by channel."""
+    """`data` with the weights that the converter left in float32 (the small, and the denied ones)
+    in int8, by channel."""
     parts = schema.ModelT.InitFromPackedBuf(data, 0)
     for op in parts.subgraphs[0].operators:
         tensor = parts.subgraphs[0].tensors[op.inputs[1]] if len(op.inputs) > 1 else None
@@ -149,7 +159,8 @@ def _quantize_float_weights(data):
 
 
 def surrogate_facts(dataset):
-    """What a surrogate's file says beside its graph, from a fem.data.dataset.Dataset: see unet_fem.runtime.surrogate.write_surrogate."""
+    """What a surrogate's file says beside its graph, from a fem.data.dataset.Dataset: see
+    unet_fem.runtime.surrogate.write_surrogate."""
     points, faces = dataset.surface
     return {
         "mask": dataset.free,
@@ -163,9 +174,9 @@ def surrogate_facts(dataset):
 def audit(data, variant):
     """{operator: count} of a .tflite file's bytes, after loading it and running it once.
 
-    Raises InputError naming the operator and the variant unless all are builtin, none is CONV_3D, and in "dynamic" and
-    "int8" every convolution and fully connected layer has int8 weights; in "int8" all but the last have int8
-    activations too.
+    Raises InputError naming the operator and the variant unless all are builtin, none is CONV_3D,
+    and in "dynamic" and "int8" every convolution and fully connected layer has int8 weights; in
+    "int8" all but the last have int8 activations too.
     """
     parts = schema.ModelT.InitFromPackedBuf(data, 0)
     graph = parts.subgraphs[0]

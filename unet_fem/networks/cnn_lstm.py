@@ -12,18 +12,22 @@ from unet_fem.networks.layers import displacement_layer, pad
 def cnn_lstm(
     grid=(17, 17, 8), units=512, steps=2, *, force_scale=1.0, displacement_scale=1.0, mask=None
 ):
-    """CNN-LSTM: force (B, steps, nx, ny, nz, 3) in mN -> displacement of the last step (B, nx, ny, nz, 3) in mm.
+    """CNN-LSTM: force (B, steps, nx, ny, nz, 3) in mN -> displacement of the last step (B, nx, ny,
+    nz, 3) in mm.
 
-    Each step is convolved and pooled by three, a bidirectional LSTM reads the steps, and its output becomes a coarse
-    block of displacement features, upsampled by (4, 4, 3) and joined with the first convolution of the last step.
+    Each step is convolved and pooled by three, a bidirectional LSTM reads the steps, and its output
+    becomes a coarse block of displacement features, upsampled by (4, 4, 3) and joined with the
+    first convolution of the last step.
 
-    Pooling and block are anchored at the loaded surface: the nz mod 3 deepest layers are not pooled, and the block is
-    zero there. In x and y the pooling rounds up, and the block stands in the middle of the grid. Time is folded into
-    the batch around the convolution.
+    Pooling and block are anchored at the loaded surface: the nz mod 3 deepest layers are not
+    pooled, and the block is zero there. In x and y the pooling rounds up, and the block stands in
+    the middle of the grid. Time is folded into the batch around the convolution.
 
-    grid: nodes (nx, ny, nz). units: LSTM units per direction (the paper's N_N). steps: length of the window (N_t).
-    force_scale: mN. displacement_scale: mm. mask: (nx, ny, nz) bool, the free material nodes; None for all.
-    Raises InputError for a grid smaller than (4, 4, 3), and when 2 * units does not fill the block.
+    grid: nodes (nx, ny, nz). units: LSTM units per direction (the paper's N_N). steps: length of
+    the window (N_t).
+    force_scale: mN. displacement_scale: mm. mask: (nx, ny, nz) bool, the free material nodes; None
+    for all. Raises InputError for a grid smaller than (4, 4, 3), and when 2 * units does not fill
+    the block.
     """
     nx, ny, nz = grid
     block = (nx // 4, ny // 4, nz // 3)
@@ -57,7 +61,8 @@ def cnn_lstm(
         x
     )  # (B, nx, ny, nz, 32)
 
-    # The last step by way of (B, T, features): a slice of a six-dimensional array cannot be deployed.
+    # The last step by way of (B, T, features): a slice of a six-dimensional array cannot be
+    # deployed.
     last = ops.reshape(first, (-1, steps, math.prod(grid) * 32))
     last = layers.Cropping1D((steps - 1, 0), name="last_step")(last)  # (B, 1, nx*ny*nz*32)
     last = layers.Reshape((*grid, 32), name="last_step_grid")(last)

@@ -1,12 +1,14 @@
-"""The networks of the paper (Karami, Lombaert, Rivest-Hénault, arXiv 2301.04614) as Keras 3 functional models.
+"""The networks of the paper (Karami, Lombaert, Rivest-Hénault, arXiv 2301.04614) as Keras 3
+functional models.
 
-Every model maps nodal force in mN to nodal displacement in mm on a grid of nodes whose last layer, z = nz - 1, is the
-free, loaded surface. Normalisation is part of the model, so a saved model is whole: forces are divided by
-`force_scale`, and the last layer, `displacement`, multiplies by `displacement_scale` and by `mask`, so that fixed and
-void nodes are exactly zero. Only built-in layers are used: a saved `.keras` file loads without this package.
+Every model maps nodal force in mN to nodal displacement in mm on a grid of nodes whose last layer,
+z = nz - 1, is the free, loaded surface. Normalisation is part of the model, so a saved model is
+whole: forces are divided by `force_scale`, and the last layer, `displacement`, multiplies by
+`displacement_scale` and by `mask`, so that fixed and void nodes are exactly zero. Only built-in
+layers are used: a saved `.keras` file loads without this package.
 
-Under the policy `mixed_bfloat16` the last convolution and the output are float32; `float32_twin` gives the same
-network in float32 throughout.
+Under the policy `mixed_bfloat16` the last convolution and the output are float32; `float32_twin`
+gives the same network in float32 throughout.
 """
 
 import json
@@ -19,7 +21,8 @@ from fem.errors import InputError
 
 
 def float32_twin(model):
-    """The same network and weights in float32, to deploy or compare a model trained under mixed precision."""
+    """The same network and weights in float32, to deploy or compare a model trained under mixed
+    precision."""
     config = re.sub(r"mixed_b?float16", "float32", json.dumps(model.get_config()))
     twin = type(model).from_config(json.loads(config))
     twin.set_weights(model.get_weights())
@@ -39,10 +42,11 @@ def displacement_layer(x, scale, mask):
 
 
 def pad(x, margins):
-    """Zero-pad (B, x, y, z, C) by margins ((low, high), (low, high), (low, high)), concatenating zeros.
+    """Zero-pad (B, x, y, z, C) by margins ((low, high), (low, high), (low, high)), concatenating
+    zeros.
 
-    Not ZeroPadding3D: TensorFlow 2.21 fuses Pad and Conv3D in graph mode and loses the padding. Each margin must be
-    no wider than the grid.
+    Not ZeroPadding3D: TensorFlow 2.21 fuses Pad and Conv3D in graph mode and loses the padding.
+    Each margin must be no wider than the grid.
     """
     for axis, (low, high) in enumerate(margins):
         name = "pad_" + "xyz"[axis]

@@ -12,14 +12,17 @@ from unet_fem.networks.layers import displacement_layer
 def linear_regression(force, displacement, mask, ridge=1e-6, validation=None):
     """Ridge regression in closed form, as a Keras model with the networks' input and output.
 
-    With X the force components that are ever nonzero, Y the displacement of the free nodes, and s the largest
-    eigenvalue of X^T X, the kernel is W = (X^T X + ridge s I)^-1 X^T Y = X^T (X X^T + ridge s I)^-1 Y, by whichever
-    matrix is smaller, in float64. There is no intercept: no force, no displacement.
+    With X the force components that are ever nonzero, Y the displacement of the free nodes, and s
+    the largest eigenvalue of X^T X, the kernel is W = (X^T X + ridge s I)^-1 X^T Y = X^T (X X^T +
+    ridge s I)^-1 Y, by whichever matrix is smaller, in float64. There is no intercept: no force, no
+    displacement.
 
-    force: (S, nx, ny, nz, 3) or windows (S, T, nx, ny, nz, 3), mN. displacement: (S, nx, ny, nz, 3), mm.
-    mask: (nx, ny, nz) bool, the free material nodes. ridge: one value or several, as a fraction of s; several cost
-    one eigendecomposition, and the best on validation = (force, displacement) is kept. The model's name tells which.
-    Raises InputError when all forces are zero, or several ridges come without validation.
+    force: (S, nx, ny, nz, 3) or windows (S, T, nx, ny, nz, 3), mN. displacement: (S, nx, ny, nz,
+    3), mm.
+    mask: (nx, ny, nz) bool, the free material nodes. ridge: one value or several, as a fraction of
+    s; several cost one eigendecomposition, and the best on validation = (force, displacement) is
+    kept. The model's name tells which. Raises InputError when all forces are zero, or several
+    ridges come without validation.
     """
     mask = np.asarray(mask, dtype=bool)
     active = np.flatnonzero(np.any(force, axis=0))

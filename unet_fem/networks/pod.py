@@ -1,13 +1,16 @@
-"""Regressions as competitors: from a window of forces to the displacement, in full or through a few modes.
+"""Regressions as competitors: from a window of forces to the displacement, in full or through a few
+modes.
 
     linear      u = W f
     POD         u = sum_k (W f)_k phi_k
     quadratic   u = sum_k (W f + Q f^2)_k phi_k
 
-with phi_k the modes of the training displacements (proper orthogonal decomposition) and the weights by ridge regression. No mean is
-taken out: no force moves nothing, and with a mean the error on the paper's unseen interactions is 41 % in place of 18 %. The kind of quadratic
-terms and their WEIGHT were chosen on the paper's validation data: squares of the forces err 12.3 % there, products of the 3 to 40
-leading coefficients 12.4 %, the linear answer 12.6 %.
+with phi_k the modes of the training displacements (proper orthogonal decomposition) and the weights
+by ridge regression. No mean is
+taken out: no force moves nothing, and with a mean the error on the paper's unseen interactions is
+41 % in place of 18 %. The kind of quadratic terms and their WEIGHT were chosen on the paper's
+validation data: squares of the forces err 12.3 % there, products of the 3 to 40 leading
+coefficients 12.4 %, the linear answer 12.6 %.
 """
 
 from dataclasses import dataclass, replace
@@ -17,13 +20,14 @@ import scipy.linalg
 
 from unet_fem.networks import ridge
 
-WEIGHT = 0.1  # of the squared forces beside the forces, both of root mean square 1; smaller is more regular
+# of the squared forces beside the forces, both of root mean square 1; smaller is more regular
+WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
 class Regression:
-    """mask (nx, ny, nz), the free nodes; active (p,) force components used; kernel (p, q or r) mm/mN; modes (r, q) or None;
-    squares (p, r) mm/mN^2, or None without quadratic terms."""
+    """mask (nx, ny, nz), the free nodes; active (p,) force components used; kernel (p, q or r)
+    mm/mN; modes (r, q) or None; squares (p, r) mm/mN^2, or None without quadratic terms."""
 
     mask: np.ndarray
     active: np.ndarray
@@ -56,7 +60,8 @@ def predict(model, force):
 
 
 def linear(train, validation, mask):
-    """The linear Regression on Samples, its ridge chosen on `validation`: the same as unet_fem.networks.linear.linear_regression."""
+    """The linear Regression on Samples, its ridge chosen on `validation`: the same as
+    unet_fem.networks.linear.linear_regression."""
     active = np.flatnonzero(train.force.any(axis=0))
     shown = [
         (_columns(samples, active), _free_nodes(samples, mask)) for samples in (train, validation)
@@ -66,9 +71,11 @@ def linear(train, validation, mask):
 
 
 def reduced(full, train, validation, modes):
-    """(POD, POD + quadratic), Regressions with `modes` modes, or as many as there are samples, on the samples that `full` was fitted to.
+    """(POD, POD + quadratic), Regressions with `modes` modes, or as many as there are samples, on
+    the samples that `full` was fitted to.
 
-    Ridge regression to the coefficients is the linear one's weights taken to the modes. The modes are in order and each coefficient
+    Ridge regression to the coefficients is the linear one's weights taken to the modes. The modes
+    are in order and each coefficient
     has weights of its own: `truncated` gives the regressions with fewer.
     """
     X, X_validation = (_columns(samples, full.active) for samples in (train, validation))

@@ -9,10 +9,12 @@ RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # chosen from on the validation data
 
 
 def fit(X, Y, ridges, validation=None):
-    """(kernel (p, q), ridge): W = (X^T X + ridge s I)^-1 X^T Y = X^T (X X^T + ridge s I)^-1 Y, by whichever matrix is smaller.
+    """(kernel (p, q), ridge): W = (X^T X + ridge s I)^-1 X^T Y = X^T (X X^T + ridge s I)^-1 Y, by
+    whichever matrix is smaller.
 
-    X: (S, p), Y: (S, q) float64. s: the largest eigenvalue of X^T X. ridges: fractions of s; several cost one
-    eigendecomposition, and the best on validation = (X, Y) is kept. Raises InputError if several come without validation.
+    X: (S, p), Y: (S, q) float64. s: the largest eigenvalue of X^T X. ridges: fractions of s;
+    several cost one eigendecomposition, and the best on validation = (X, Y) is kept. Raises
+    InputError if several come without validation.
     """
     ridges = np.atleast_1d(ridges).tolist()
     if len(ridges) > 1 and validation is None:

@@ -9,14 +9,15 @@ from unet_fem.networks.layers import displacement_layer, pad
 def unet(grid=(17, 17, 8), filters=64, *, force_scale=1.0, displacement_scale=1.0, mask=None):
     """U-Net: force (B, nx, ny, nz, 3) in mN -> displacement (B, nx, ny, nz, 3) in mm.
 
-    The paper counts six convolutions in the decoder and lists five (64, 64, 128, 64, 3). Here the sixth directly
-    follows the upsampling, as in the original U-Net, and the five listed ones follow the skip connection:
-    1,780,611 parameters with 64 filters.
+    The paper counts six convolutions in the decoder and lists five (64, 64, 128, 64, 3). Here the
+    sixth directly follows the upsampling, as in the original U-Net, and the five listed ones follow
+    the skip connection: 1,780,611 parameters with 64 filters.
 
-    The grid is zero-padded to even sizes, x and y at the high end, z at the deep one, so that the pooling starts at
-    the loaded surface.
+    The grid is zero-padded to even sizes, x and y at the high end, z at the deep one, so that the
+    pooling starts at the loaded surface.
 
-    grid: nodes (nx, ny, nz). filters: channels of the first convolution. force_scale: mN. displacement_scale: mm.
+    grid: nodes (nx, ny, nz). filters: channels of the first convolution. force_scale: mN.
+    displacement_scale: mm.
     mask: (nx, ny, nz) bool, the free material nodes; None for all.
     """
     odd_x, odd_y, odd_z = (n % 2 for n in grid)

@@ -1,4 +1,5 @@
-"""python -m unet_fem.runtime model.tflite data.h5: replay an interaction, and tell how well the rate is kept."""
+"""python -m unet_fem.runtime model.tflite data.h5: replay an interaction, and tell how well the
+rate is kept."""
 
 import argparse
 

@@ -9,10 +9,12 @@ from fem.errors import InputError
 
 
 def replay(surrogate, force, times, rate):
-    """Call `surrogate` at `rate` Hz with force (F, nx, ny, nz, 3) mN of the frames at `times` (F,) s, linear in between.
+    """Call `surrogate` at `rate` Hz with force (F, nx, ny, nz, 3) mN of the frames at `times` (F,)
+    s, linear in between.
 
-    Returns {"late": s after its due time that each call began, "took": s, "done": s after its due time that it ended,
-    "frames": numbers of the calls at the times of the frames, "displacement": (F, nx, ny, nz, 3) mm there}.
+    Returns {"late": s after its due time that each call began, "took": s, "done": s after its due
+    time that it ended, "frames": numbers of the calls at the times of the frames, "displacement":
+    (F, nx, ny, nz, 3) mm there}.
     """
     count = round(times[-1] * rate) + 1
     frames = np.round(times * rate).astype(int)
@@ -62,7 +64,8 @@ def report(timing, rate):
 
 
 def read_interaction(path, number=None):
-    """(number, times s, force mN, displacement mm) of a test interaction of a dataset; the first if None."""
+    """(number, times s, force mN, displacement mm) of a test interaction of a dataset; the first if
+    None."""
     import h5py
 
     if not Path(path).is_file():

@@ -1,9 +1,12 @@
-"""A deployed network: force in mN to displacement in mm at a fixed rate, with NumPy and LiteRT alone.
+"""A deployed network: force in mN to displacement in mm at a fixed rate, with NumPy and LiteRT
+alone.
 
-    python -m unet_fem.runtime model.tflite data.h5 [--interaction N] [--rate 100 1000] [--threads 1]
+    python -m unet_fem.runtime model.tflite data.h5 [--interaction N] [--rate 100 1000] [--threads
+    1]
 
-replays an interaction and tells how well the rate is kept. A surrogate is one file: the .tflite with normalisation
-and mask in its graph, and behind it, as a zip archive of NumPy arrays, what the graph does not say.
+replays an interaction and tells how well the rate is kept. A surrogate is one file: the .tflite
+with normalisation and mask in its graph, and behind it, as a zip archive of NumPy arrays, what the
+graph does not say.
 """
 
 import io
@@ -24,9 +27,11 @@ VOLUME_BAND = 0.07  # the paper's, of the volume at rest
 def write_surrogate(path, model, *, mask, points, faces, interval, largest_force):
     """Write a surrogate to `path`, at once or not at all.
 
-    model: bytes of a .tflite file. mask: (nx, ny, nz) bool, the free material nodes. points: (nx*ny*nz, 3) mm.
-    faces: (M, 4) nodes of the boundary quads, counter-clockwise seen from outside. interval: s between the frames of
-    a force window. largest_force: (total, nodal) mN seen in training, see `force_size`.
+    model: bytes of a .tflite file. mask: (nx, ny, nz) bool, the free material nodes. points:
+    (nx*ny*nz, 3) mm.
+    faces: (M, 4) nodes of the boundary quads, counter-clockwise seen from outside. interval: s
+    between the frames of a force window. largest_force: (total, nodal) mN seen in training, see
+    `force_size`.
     """
     path = Path(path)
     archive = io.BytesIO()
@@ -51,7 +56,8 @@ def write_surrogate(path, model, *, mask, points, faces, interval, largest_force
 
 
 def force_size(force):
-    """(largest total force, largest nodal force) in mN over all fields of force (..., nx, ny, nz, 3)."""
+    """(largest total force, largest nodal force) in mN over all fields of force (..., nx, ny, nz,
+    3)."""
     total = np.linalg.norm(force.sum(axis=(-4, -3, -2), dtype=float), axis=-1)
     return float(total.max()), float(np.linalg.norm(force, axis=-1).max())
 
@@ -59,16 +65,17 @@ def force_size(force):
 class Surrogate:
     """A network that answers call by call and keeps the window of past forces itself.
 
-    The frames of a window are `interval` seconds apart, as in training. Without a `rate` every call of `step` is one
-    frame later than the one before. With `rate` in Hz calls come 1 / rate seconds apart: each is answered for now,
-    from the forces now, one interval ago, two intervals ago ... which a ring of the recent calls holds.
+    The frames of a window are `interval` seconds apart, as in training. Without a `rate` every call
+    of `step` is one frame later than the one before. With `rate` in Hz calls come 1 / rate seconds
+    apart: each is answered for now, from the forces now, one interval ago, two intervals ago ...
+    which a ring of the recent calls holds.
 
-    After each step: `volume` in mm3; `outside_training_range`, whether the force's total or its largest node exceeds
-    all of training; `volume_alarm`, whether the volume is off by more than 7 %. The first time that either becomes
-    true there is also a RuntimeWarning.
+    After each step: `volume` in mm3; `outside_training_range`, whether the force's total or its
+    largest node exceeds all of training; `volume_alarm`, whether the volume is off by more than 7
+    %. The first time that either becomes true there is also a RuntimeWarning.
 
-    path: file of tools/quantize.py. threads: of the interpreter. Raises InputError for another file, and for a rate at
-    which an interval is not a whole number of calls.
+    path: file of tools/quantize.py. threads: of the interpreter. Raises InputError for another
+    file, and for a rate at which an interval is not a whole number of calls.
     """
 
     def __init__(self, path, threads=1, rate=None):
@@ -88,7 +95,8 @@ class Surrogate:
             self._interpreter.get_output_details()[0],
         )
         self.steps = int(source["shape"][1]) if len(source["shape"]) == 6 else 1
-        # views of the interpreter's memory, made anew at each call: it refuses to run while one is held
+        # views of the interpreter's memory, made anew at each call: it refuses to run while one is
+        # held
         self._window = self._interpreter.tensor(source["index"])  # () -> (1, [T,] nx, ny, nz, 3)
         self._displacement = self._interpreter.tensor(result["index"])  # () -> (1, nx, ny, nz, 3)
         self._stride = self._calls_an_interval(rate) if self.steps > 1 else 1
@@ -121,10 +129,12 @@ class Surrogate:
         self.volume = self.rest_volume
 
     def step(self, force, out=None):
-        """Displacement (nx, ny, nz, 3) mm under force (nx, ny, nz, 3) mN and the forces of the calls before.
+        """Displacement (nx, ny, nz, 3) mm under force (nx, ny, nz, 3) mN and the forces of the
+        calls before.
 
-        out: float32 array to write it to, for a loop that must not allocate; a new one if None. Raises InputError for
-        a force of another shape or with values that are not finite; the window is then as it was.
+        out: float32 array to write it to, for a loop that must not allocate; a new one if None.
+        Raises InputError for a force of another shape or with values that are not finite; the
+        window is then as it was.
         """
         force = np.asarray(force)
         if force.shape != self._finite.shape or force.dtype.kind not in "fiu":
@@ -191,7 +201,8 @@ class Surrogate:
 
 
 class _Volume:
-    """Volume in mm3 within quads, as in unet_fem.training.losses: sum (a + b + c + d) . (c - a) x (d - b) / 24.
+    """Volume in mm3 within quads, as in unet_fem.training.losses: sum (a + b + c + d) . (c - a) x
+    (d - b) / 24.
 
     Only faces with a free node change; the others are summed once.
     """

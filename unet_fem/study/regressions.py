@@ -14,7 +14,8 @@ def linear_name(frames):
 
 
 def competitors(study, dataset):
-    """{name: (frames of the window, Regression)}: linear for every window of the study's networks, POD on the one best in validation."""
+    """{name: (frames of the window, Regression)}: linear for every window of the study's networks,
+    POD on the one best in validation."""
     windows = sorted({network.settings.model.window or 1 for network in study.networks})
     found, least = {}, np.inf
     for frames in windows:
@@ -37,7 +38,8 @@ def competitors(study, dataset):
 
 
 def actions(study, dataset):
-    """{name: action} of `competitors`: each takes one frame of force into its window and gives the displacement on the grid."""
+    """{name: action} of `competitors`: each takes one frame of force into its window and gives the
+    displacement on the grid."""
     force = dataset.read("test")["force"][0, -1]
     return {
         name: _action(model, frames, force)

@@ -1,4 +1,5 @@
-"""The runs of a study: train, export and prune what is missing, each by the command that a reader would give."""
+"""The runs of a study: train, export and prune what is missing, each by the command that a reader
+would give."""
 
 import subprocess
 import sys
@@ -67,7 +68,8 @@ def pruned_runs(study, name):
 
 
 def command(*words):
-    """Run one of the project's own commands from the folder that holds it; stop with its exit code if it fails."""
+    """Run one of the project's own commands from the folder that holds it; stop with its exit code
+    if it fails."""
     print("$ python " + " ".join(words), flush=True)
     code = subprocess.run([sys.executable, *words]).returncode
     if code:

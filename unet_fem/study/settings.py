@@ -1,4 +1,5 @@
-"""Settings of a study, read from a TOML file: which networks it trains and which competitors it measures."""
+"""Settings of a study, read from a TOML file: which networks it trains and which competitors it
+measures."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,9 +34,11 @@ class Arm:
 class Fem:
     """The FEM as a competitor at fixed latency.
 
-    interactions: numbers of the test interactions that the headline figure judges every competitor on, besides the hard ones
+    interactions: numbers of the test interactions that the headline figure judges every competitor
+    on, besides the hard ones
     steps: warm-started steps a frame; frames: lengths of a frame in s
-    reference_safety: share of the critical step that the reference takes; checked: interactions that its own error is measured on
+    reference_safety: share of the critical step that the reference takes; checked: interactions
+    that its own error is measured on
     """
 
     interactions: tuple[int, ...]
@@ -47,7 +50,8 @@ class Fem:
 
 @dataclass(frozen=True)
 class Stability:
-    """Test interactions whose forces are multiplied by each factor, to see how far every competitor holds."""
+    """Test interactions whose forces are multiplied by each factor, to see how far every competitor
+    holds."""
 
     interactions: tuple[int, ...]
     factors: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
@@ -57,13 +61,17 @@ class Stability:
 class Study:
     """name: of the folder under runs/ for what is measured; the runs themselves lie beside it
 
-    cnn_lstm, unet: the runs that are pruned and shown in every figure; deployed: those that are exported in every form
-    configurations: runs of the paper's table of configurations; physics: arms of the comparison with and without the
-    volume term, the first of them without; learning_rate: two runs, the schedule first; window: two runs, the shorter first
+    cnn_lstm, unet: the runs that are pruned and shown in every figure; deployed: those that are
+    exported in every form
+    configurations: runs of the paper's table of configurations; physics: arms of the comparison
+    with and without the volume term, the first of them without; learning_rate: two runs, the
+    schedule first; window: two runs, the shorter first
     prune: shares to remove; prune_epochs: of fine-tuning the
     CNN-LSTM and the U-Net
-    pod_modes: numbers of modes of the POD with regression; long_scene: scene of the long interactions and its dataset
-    rounds: timings of each competitor; notes: {section of the page: what its numbers mean, in words}
+    pod_modes: numbers of modes of the POD with regression; long_scene: scene of the long
+    interactions and its dataset
+    rounds: timings of each competitor; notes: {section of the page: what its numbers mean, in
+    words}
     """
 
     name: str

@@ -1,4 +1,5 @@
-"""The measurements of a study, in order. Each leaves its figures as JSON, and one that is there is not taken again."""
+"""The measurements of a study, in order. Each leaves its figures as JSON, and one that is there is
+not taken again."""
 
 import importlib
 import json
@@ -7,7 +8,9 @@ from concurrent.futures import ProcessPoolExecutor
 
 from fem.errors import InputError
 
-STAGES = {  # name, which is a module of unet_fem.study.measure with run(study): fields of the study that its figures depend on
+# name, which is a module of unet_fem.study.measure with run(study): fields of the study that its
+# figures depend on
+STAGES = {
     "reference": ("fem",),
     "fixed_latency": ("fem",),
     "accuracy": ("networks", "deployed", "prune", "pod_modes", "fem"),
@@ -18,7 +21,8 @@ STAGES = {  # name, which is a module of unet_fem.study.measure with run(study):
 
 
 def run_stage(study, name, again=False, only_read=False):
-    """The figures of stage `name`: read if they are there and were taken with these settings, otherwise measured now."""
+    """The figures of stage `name`: read if they are there and were taken with these settings,
+    otherwise measured now."""
     path = study.folder / f"{name}.json"
     settings = {field: repr(getattr(study, field)) for field in STAGES[name]}
     if path.is_file() and not again:

@@ -33,9 +33,11 @@ def load_model(path):
 
 
 class Checkpoint(keras.callbacks.Callback):
-    """After each epoch: history, the best model so far, and all that is needed to go on (weights, optimizer, step).
+    """After each epoch: history, the best model so far, and all that is needed to go on (weights,
+    optimizer, step).
 
-    The step count of the optimizer says how far a checkpoint is, so a kill between two files does no harm.
+    The step count of the optimizer says how far a checkpoint is, so a kill between two files does
+    no harm.
     """
 
     def __init__(self, folder, steps_per_epoch):
@@ -46,7 +48,8 @@ class Checkpoint(keras.callbacks.Callback):
         self.history = {}
 
     def restore(self, model):
-        """Load the checkpoint into the compiled `model`, if there is one. Returns the number of finished epochs."""
+        """Load the checkpoint into the compiled `model`, if there is one. Returns the number of
+        finished epochs."""
         if not self.weights.is_file():
             return 0
         model.optimizer.build(model.trainable_variables)

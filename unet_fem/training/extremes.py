@@ -12,9 +12,11 @@ FRAMES, RAMP = 5, 0.5  # frames of the scene's interval, and seconds over which 
 
 
 def extreme_loads(mesh, contact):
-    """{name: load(t)} for a mesh in m and the ContactRange of its scene; each load (3, N) N rises and is then held.
+    """{name: load(t)} for a mesh in m and the ContactRange of its scene; each load (3, N) N rises
+    and is then held.
 
-    Forces are multiples of the largest training force of one contact, at the middle of the surface or at its rim.
+    Forces are multiples of the largest training force of one contact, at the middle of the surface
+    or at its rim.
     """
     surface = Surface(mesh)
     middle, rim = surface.clearance.argmax(), surface.clearance.argmin()
@@ -64,9 +66,11 @@ def extreme_loads(mesh, contact):
 
 
 def fem_response(dataset, load):
-    """(force mN, displacement mm, volume mm3) at FRAMES frames, fields on the grid (FRAMES, nx, ny, nz, 3).
+    """(force mN, displacement mm, volume mm3) at FRAMES frames, fields on the grid (FRAMES, nx, ny,
+    nz, 3).
 
-    Raises SolverStopped where the FEM stops, or crushes a cell more than the scene allows in its data.
+    Raises SolverStopped where the FEM stops, or crushes a cell more than the scene allows in its
+    data.
     """
     scene, mesh = dataset.scene, dataset.fem_mesh
     solver, ledger = scene.build_solver(mesh), EnergyLedger()
@@ -83,10 +87,12 @@ def fem_response(dataset, load):
 
 
 def judge_extremes(models, dataset, steps):
-    """{case: {model: figures}} for {name: Keras model}; the FEM's entry says why it stopped where it did.
+    """{case: {model: figures}} for {name: Keras model}; the FEM's entry says why it stopped where
+    it did.
 
-    relative_l2 is over the frames under load (None without motion), worst_mm the largest nodal error, and
-    volume_violation_max the largest relative change of volume. steps: of the models' window, or None.
+    relative_l2 is over the frames under load (None without motion), worst_mm the largest nodal
+    error, and volume_violation_max the largest relative change of volume. steps: of the models'
+    window, or None.
     """
     from unet_fem.training.losses import deformed_volume
 

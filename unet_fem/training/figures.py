@@ -24,7 +24,8 @@ plt.rcParams.update(
 
 
 def draw_all(folder, dataset, samples, predictions):
-    """Write every figure to `folder`; predictions: {model: (displacement (S, nx, ny, nz, 3) mm, volume (S,) mm3)}."""
+    """Write every figure to `folder`; predictions: {model: (displacement (S, nx, ny, nz, 3) mm,
+    volume (S,) mm3)}."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     fields = {name: prediction for name, (prediction, _) in predictions.items()}
@@ -50,7 +51,8 @@ def normalised_depth(dataset):
 
 
 def by_depth(dataset, field, truth):
-    """{"depth": 0 in the loaded layer to 1, "mean_mm", "relative_l2"}: errors of a field (S, nx, ny, nz, 3) mm over each layer's free nodes.
+    """{"depth": 0 in the loaded layer to 1, "mean_mm", "relative_l2"}: errors of a field (S, nx,
+    ny, nz, 3) mm over each layer's free nodes.
 
     relative_l2 is None in a layer where the truth does not move.
     """
@@ -70,7 +72,8 @@ def by_depth(dataset, field, truth):
 
 
 def error_vs_depth(dataset, samples, fields):
-    """Mean error of each model against the depth below the loaded surface, in mm and relative to the FEM's motion there."""
+    """Mean error of each model against the depth below the loaded surface, in mm and relative to
+    the FEM's motion there."""
     curves = {
         name: by_depth(dataset, field, samples.displacement) for name, field in fields.items()
     }
@@ -100,7 +103,8 @@ def depth_curves(curves, title):
 
 
 def bland_altman(dataset, samples, fields):
-    """Difference of nodal displacement magnitudes against their mean, with bias and 96 % limits, for each model."""
+    """Difference of nodal displacement magnitudes against their mean, with bias and 96 % limits,
+    for each model."""
     columns = len(fields) if len(fields) < 4 else -(-len(fields) // 2)
     lines = -(-len(fields) // columns)
     figure, axes = plt.subplots(
@@ -134,7 +138,8 @@ def bland_altman(dataset, samples, fields):
 
 
 def test_interactions(dataset, samples, predictions):
-    """Largest total force and largest volume violation of every test interaction, the hard ones shaded."""
+    """Largest total force and largest volume violation of every test interaction, the hard ones
+    shaded."""
     numbers = np.unique(samples.interaction)
 
     def largest(values):
@@ -151,7 +156,8 @@ def test_interactions(dataset, samples, predictions):
 
 
 def interaction_curves(numbers, hard, force, violations):
-    """The figure of each interaction's largest total force (mN) and of {name: its largest relative change of volume}; hard: their numbers."""
+    """The figure of each interaction's largest total force (mN) and of {name: its largest relative
+    change of volume}; hard: their numbers."""
     figure, axes = plt.subplots(2, 1, figsize=(8, 5.5), sharex=True, layout="constrained")
     axes[0].bar(numbers, force, color="slategray")
     axes[0].set_ylabel("largest total force (mN)")
@@ -182,7 +188,8 @@ def interaction_curves(numbers, hard, force, violations):
 
 
 def displacement_fields(dataset, samples, model):
-    """FEM, prediction and difference on the section of the deformed tissue through the most displaced node."""
+    """FEM, prediction and difference on the section of the deformed tissue through the most
+    displaced node."""
     name, field = model
     sample, j = most_displaced(dataset, samples)
     truth, found = samples.displacement[sample], field[sample]
@@ -208,7 +215,8 @@ def displacement_fields(dataset, samples, model):
 
 
 def most_displaced(dataset, samples):
-    """(sample, j) of the FEM's largest displacement: the section of the grid through that node, or the nearest that has cells."""
+    """(sample, j) of the FEM's largest displacement: the section of the grid through that node, or
+    the nearest that has cells."""
     distance = node_distance(dataset, samples.displacement)
     sample, node = np.unravel_index(distance.argmax(), distance.shape)
     layers = np.unique(
@@ -218,7 +226,8 @@ def most_displaced(dataset, samples):
 
 
 def draw_section(axis, dataset, j, shape, values, limit):
-    """Section j of the tissue displaced by `shape`, coloured from 0 to `limit` by the size of `values`, both (nx, ny, nz, 3) mm.
+    """Section j of the tissue displaced by `shape`, coloured from 0 to `limit` by the size of
+    `values`, both (nx, ny, nz, 3) mm.
 
     Returns the PolyCollection, which `move_section` changes.
     """
@@ -240,7 +249,8 @@ def move_section(cells, dataset, j, shape, values):
 
 
 def section_plane(dataset):
-    """(3, 2) unit vectors across and up: along the grid's first and third axes as they run on the whole (x and z for the tumour)."""
+    """(3, 2) unit vectors across and up: along the grid's first and third axes as they run on the
+    whole (x and z for the tumour)."""
 
     def mean_step(axis):
         points, mask = np.moveaxis(dataset.points, axis, 0), np.moveaxis(dataset.mask, axis, 0)
@@ -252,7 +262,8 @@ def section_plane(dataset):
 
 
 def section_quads(dataset, j):
-    """(M, 4) corners, as indices into the (nx, nz) nodes of layer j, of the cell faces that lie in that layer."""
+    """(M, 4) corners, as indices into the (nx, nz) nodes of layer j, of the cell faces that lie in
+    that layer."""
     nx, ny, nz = dataset.grid
     i, jj, k = np.unravel_index(dataset.cells, dataset.grid)  # (E, 8)
     flat = np.where(jj == j, i * nz + k, -1)

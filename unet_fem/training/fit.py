@@ -24,7 +24,8 @@ def build_model(settings, dataset, force_scale, displacement_scale):
 
 
 def build_loss(settings, dataset):
-    """The loss of `settings` for the mesh of `dataset`, see unet_fem.training.losses.volume_loss."""
+    """The loss of `settings` for the mesh of `dataset`, see
+    unet_fem.training.losses.volume_loss."""
     from unet_fem.training import losses
 
     choice = settings.loss
@@ -37,7 +38,8 @@ def build_loss(settings, dataset):
 
 
 def compile_model(model, settings, dataset, steps_per_epoch):
-    """Adam, the loss and the metrics of `settings`; the learning rate is a function of the step, so a resumed run keeps it."""
+    """Adam, the loss and the metrics of `settings`; the learning rate is a function of the step, so
+    a resumed run keeps it."""
     import keras
 
     from unet_fem.training import losses
@@ -47,7 +49,8 @@ def compile_model(model, settings, dataset, steps_per_epoch):
     if choice.schedule == "cosine":
         rate = keras.optimizers.schedules.CosineDecay(rate, choice.epochs * steps_per_epoch)
     model.compile(
-        # squared millimetres make gradients far below Keras's epsilon of 1e-7, which would turn Adam into slow descent
+        # squared millimetres make gradients far below Keras's epsilon of 1e-7, which would turn
+        # Adam into slow descent
         keras.optimizers.Adam(rate, epsilon=1e-12),
         build_loss(settings, dataset),
         metrics=[
@@ -58,7 +61,8 @@ def compile_model(model, settings, dataset, steps_per_epoch):
 
 
 def targets(samples, settings):
-    """What the loss compares with: the displacement, and the last force beside it if the direction term needs it."""
+    """What the loss compares with: the displacement, and the last force beside it if the direction
+    term needs it."""
     import numpy as np
 
     if not settings.loss.direction_weight:
@@ -67,7 +71,8 @@ def targets(samples, settings):
 
 
 def fit(model, settings, train, validation):
-    """Train from the checkpoint in the run's folder, or from the start if there is none. Returns the history."""
+    """Train from the checkpoint in the run's folder, or from the start if there is none. Returns
+    the history."""
     import keras
 
     from unet_fem.training.checkpoint import Checkpoint
@@ -96,7 +101,8 @@ def fit(model, settings, train, validation):
 
 
 def train(settings, resume=False):
-    """Everything that `settings` asks for, into settings.folder. Returns the metrics of unet_fem.evaluate."""
+    """Everything that `settings` asks for, into settings.folder. Returns the metrics of
+    unet_fem.evaluate."""
     folder = settings.folder
     prepare_folder(settings, resume)
     dataset = ensure_dataset(settings)

@@ -17,10 +17,12 @@ COLUMNS = {  # key in metrics.json: (heading, format)
 
 
 def error_metrics(prediction, samples, dataset, volume):
-    """Errors of `prediction` (S, nx, ny, nz, 3) mm against the FEM over the free nodes, and the violation of volume.
+    """Errors of `prediction` (S, nx, ny, nz, 3) mm against the FEM over the free nodes, and the
+    violation of volume.
 
-    volume: (S,) mm3 of the mesh displaced by the prediction. relative_l2 is sqrt(sum |error|^2 / sum |u|^2) over all
-    samples and nodes; mean, p95 (95th percentile) and worst are of the nodes' distances to the FEM.
+    volume: (S,) mm3 of the mesh displaced by the prediction. relative_l2 is sqrt(sum |error|^2 /
+    sum |u|^2) over all samples and nodes; mean, p95 (95th percentile) and worst are of the nodes'
+    distances to the FEM.
     """
     error = np.linalg.norm((prediction - samples.displacement)[:, dataset.free], axis=-1)  # (S, n)
     truth = np.linalg.norm(samples.displacement[:, dataset.free], axis=-1)
@@ -42,7 +44,8 @@ def rest_volume(dataset):
 
 
 def predict(model, samples, dataset):
-    """(displacement (S, nx, ny, nz, 3) mm, volume (S,) mm3) that `model` gives. Raises InputError if it is not finite."""
+    """(displacement (S, nx, ny, nz, 3) mm, volume (S,) mm3) that `model` gives. Raises InputError
+    if it is not finite."""
     from unet_fem.training.losses import deformed_volume
 
     if tuple(model.input_shape[1:]) != samples.force.shape[1:]:
@@ -61,7 +64,8 @@ def predict(model, samples, dataset):
 
 
 def evaluate(settings, dataset):
-    """Metrics of the run's best model and of its linear regression, written to its folder with the figures."""
+    """Metrics of the run's best model and of its linear regression, written to its folder with the
+    figures."""
     from fem.files import write_text
     from unet_fem.training import figures
     from unet_fem.training.checkpoint import load_model

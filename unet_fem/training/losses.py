@@ -1,6 +1,8 @@
-"""Volume-preserving loss and the metrics of training, after Karami, Lombaert, Rivest-Hénault, arXiv 2301.04614.
+"""Volume-preserving loss and the metrics of training, after Karami, Lombaert, Rivest-Hénault, arXiv
+2301.04614.
 
-Lengths are in mm and volumes in mm3. A model compiled with these closures is loaded with `compile=False`.
+Lengths are in mm and volumes in mm3. A model compiled with these closures is loaded with
+`compile=False`.
 """
 
 import keras
@@ -13,14 +15,14 @@ from fem.errors import InputError
 def deformed_volume(displacement, points, faces):
     """Volume (B,) in mm3 of the hexahedral mesh moved by displacement (B, nx, ny, nz, 3) in mm.
 
-    By the divergence theorem V = 1/3 sum over boundary faces of int x . n dA: faces inside the mesh cancel. A
-    trilinear hexahedron has bilinear faces x(s, t) = m + s E + t F + s t G with s, t in [-1/2, 1/2], m the mean of
-    the corners a, b, c, d, and E x F = 1/2 (c - a) x (d - b). Then
+    By the divergence theorem V = 1/3 sum over boundary faces of int x . n dA: faces inside the mesh
+    cancel. A trilinear hexahedron has bilinear faces x(s, t) = m + s E + t F + s t G with s, t in
+    [-1/2, 1/2], m the mean of the corners a, b, c, d, and E x F = 1/2 (c - a) x (d - b). Then
 
         x . (dx/ds x dx/dt) = m . (E x F) + s m . (E x G) + t m . (G x F) - s t E . (F x G),
 
-    the last three integrate to zero, and each face gives exactly (a + b + c + d) . (c - a) x (d - b) / 24, which is
-    also the average of its two triangulations.
+    the last three integrate to zero, and each face gives exactly (a + b + c + d) . (c - a) x (d -
+    b) / 24, which is also the average of its two triangulations.
 
     points: (nx*ny*nz, 3) mm, reference positions in C order, node (i, j, k) at (i*ny + j)*nz + k.
     faces: (M, 4) node indices of the boundary quads, counter-clockwise seen from outside.
@@ -35,17 +37,19 @@ def deformed_volume(displacement, points, faces):
 
 
 def volume_loss(points, faces, *, weight=0.1, threshold=0.07, direction_weight=0.0):
-    """The paper's loss as a function (y_true, y_pred) -> (B,), whose mean over the batch Keras takes:
+    """The paper's loss as a function (y_true, y_pred) -> (B,), whose mean over the batch Keras
+    takes:
 
-        L = MSE + weight (V_t - V_origin)^2          where |V_t - V_origin| > threshold V_origin, sample by sample,
+        L = MSE + weight (V_t - V_origin)^2          where |V_t - V_origin| > threshold V_origin,
+        sample by sample,
         L = MSE                                      elsewhere,
 
-    with V_t the volume of the prediction. With a direction_weight, L also has direction_weight times the mean over
-    the loaded nodes of ReLU(1 - cos) between force and predicted displacement; y_true then has six channels, the
-    displacement and the last step's force: (B, nx, ny, nz, 6).
+    with V_t the volume of the prediction. With a direction_weight, L also has direction_weight
+    times the mean over the loaded nodes of ReLU(1 - cos) between force and predicted displacement;
+    y_true then has six channels, the displacement and the last step's force: (B, nx, ny, nz, 6).
 
-    y_true: (B, nx, ny, nz, 3 or 6) mm (and mN). y_pred: (B, nx, ny, nz, 3) mm. points, faces: see deformed_volume.
-    Raises InputError for faces that do not bound a positive volume.
+    y_true: (B, nx, ny, nz, 3 or 6) mm (and mN). y_pred: (B, nx, ny, nz, 3) mm. points, faces: see
+    deformed_volume. Raises InputError for faces that do not bound a positive volume.
     """
     origin = volume_at_rest(points, faces)
 
@@ -63,10 +67,11 @@ def volume_loss(points, faces, *, weight=0.1, threshold=0.07, direction_weight=0
 
 
 def direction_loss(force, displacement, smoothing=1e-3):
-    """Mean over the loaded nodes of ReLU(1 - cos(force, displacement)): (B,), zero for a sample without load.
+    """Mean over the loaded nodes of ReLU(1 - cos(force, displacement)): (B,), zero for a sample
+    without load.
 
-    force, displacement: (B, nx, ny, nz, 3), mN and mm. smoothing: mm, added to the displacement's length in
-    quadrature, so that the gradient stays finite where nothing has moved yet.
+    force, displacement: (B, nx, ny, nz, 3), mN and mm. smoothing: mm, added to the displacement's
+    length in quadrature, so that the gradient stays finite where nothing has moved yet.
     """
     squared_force = ops.sum(ops.square(force), axis=-1)  # (B, nx, ny, nz)
     loaded = squared_force > 0
@@ -79,7 +84,8 @@ def direction_loss(force, displacement, smoothing=1e-3):
 
 
 def gate_open(points, faces, threshold=0.07):
-    """Metric: fraction of predictions whose volume is off by more than threshold, those the volume term acts on."""
+    """Metric: fraction of predictions whose volume is off by more than threshold, those the volume
+    term acts on."""
     origin = volume_at_rest(points, faces)
 
     def gate_open(y_true, y_pred):
@@ -102,8 +108,8 @@ def volume_violation(points, faces):
 class RelativeError(keras.metrics.Metric):
     """Relative L2 error of all samples seen so far: sqrt(sum |y_pred - y_true|^2 / sum |y_true|^2).
 
-    Sums are carried over the batches, so the result does not depend on how the data are batched. A sample_weight (B,)
-    weighs both sums.
+    Sums are carried over the batches, so the result does not depend on how the data are batched. A
+    sample_weight (B,) weighs both sums.
     """
 
     def __init__(self, name="relative_error", **kwargs):

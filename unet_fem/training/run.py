@@ -11,7 +11,8 @@ from unet_fem.training import settings as config
 
 
 def open_run(folder):
-    """(settings, dataset) of the run in `folder`. Raises InputError if it is no run or does not fit its dataset."""
+    """(settings, dataset) of the run in `folder`. Raises InputError if it is no run or does not fit
+    its dataset."""
     folder = Path(folder)
     if not (folder / "config.toml").is_file():
         raise InputError(
@@ -26,7 +27,8 @@ def open_run(folder):
 
 
 def ensure_dataset(settings):
-    """The dataset of `settings`, generated first if its file is missing. Raises InputError if it is another scene's."""
+    """The dataset of `settings`, generated first if its file is missing. Raises InputError if it is
+    another scene's."""
     scene, path = load_scene(settings.scene), Path(settings.data)
     if not path.is_file():
         print(
@@ -48,7 +50,8 @@ def ensure_dataset(settings):
 
 
 def prepare_folder(settings, resume):
-    """Make the run's folder with its settings. Raises InputError if it holds another run, or this one without `resume`."""
+    """Make the run's folder with its settings. Raises InputError if it holds another run, or this
+    one without `resume`."""
     folder, text = settings.folder, settings.toml()
     written = folder / "config.toml"
     if written.is_file():

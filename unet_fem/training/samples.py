@@ -9,9 +9,11 @@ from fem.errors import InputError
 
 
 def windows(force, steps):
-    """Force windows that end at each frame, in order of interaction and frame; before the first frame there is no force.
+    """Force windows that end at each frame, in order of interaction and frame; before the first
+    frame there is no force.
 
-    force: (I, F, nx, ny, nz, 3). Returns (I*F, steps, nx, ny, nz, 3), or (I*F, nx, ny, nz, 3) for steps None.
+    force: (I, F, nx, ny, nz, 3). Returns (I*F, steps, nx, ny, nz, 3), or (I*F, nx, ny, nz, 3) for
+    steps None.
     """
     frames, grid = force.shape[1], force.shape[2:]
     if steps is None:
@@ -27,8 +29,9 @@ def windows(force, steps):
 class Samples:
     """The samples of one split.
 
-    force: windows, mN, see `windows`; displacement: (S, nx, ny, nz, 3) mm of the window's last frame; interaction: (S,)
-    the number of the interaction that each comes from; hard: (S,) bool; volume: (S,) mm3 of the FEM's deformed mesh.
+    force: windows, mN, see `windows`; displacement: (S, nx, ny, nz, 3) mm of the window's last
+    frame; interaction: (S,) the number of the interaction that each comes from; hard: (S,) bool;
+    volume: (S,) mm3 of the FEM's deformed mesh.
     """
 
     force: np.ndarray
@@ -50,7 +53,8 @@ class Samples:
 
 
 def load_samples(dataset, split, steps):
-    """Samples of `split` ("train", "validation", "test") of a fem.data.dataset.Dataset, with windows of `steps` frames."""
+    """Samples of `split` ("train", "validation", "test") of a fem.data.dataset.Dataset, with
+    windows of `steps` frames."""
     fields = dataset.read(split)
     frames = fields["force"].shape[1]
     return Samples(
@@ -63,7 +67,8 @@ def load_samples(dataset, split, steps):
 
 
 def scales(samples):
-    """(force_scale mN, displacement_scale mm): root mean square over the nonzero entries of the training data."""
+    """(force_scale mN, displacement_scale mm): root mean square over the nonzero entries of the
+    training data."""
     result = []
     for name, values in (("force", samples.last_force), ("displacement", samples.displacement)):
         values = values[values != 0]
@@ -78,7 +83,8 @@ def scales(samples):
 def batches(force, targets, batch_size, seed, first_epoch=0):
     """Endless shuffled batches, epoch after epoch from `first_epoch`, as (force, targets) slices.
 
-    The order depends on the seed and the epoch alone, so a resumed run sees what an uninterrupted one would.
+    The order depends on the seed and the epoch alone, so a resumed run sees what an uninterrupted
+    one would.
     targets: (S, nx, ny, nz, 3 or 6), see unet_fem.training.losses.volume_loss.
     """
     for epoch in itertools.count(first_epoch):

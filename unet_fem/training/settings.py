@@ -26,7 +26,8 @@ class ModelChoice:
 
     @property
     def window(self):
-        """Frames of force that the model sees at once; None if it sees one frame and has no time axis."""
+        """Frames of force that the model sees at once; None if it sees one frame and has no time
+        axis."""
         return self.steps if self.kind == "cnn_lstm" else None
 
 
@@ -46,7 +47,8 @@ class LossChoice:
 
 @dataclass(frozen=True)
 class TrainChoice:
-    """schedule "cosine" lets the learning rate fall to zero at the last epoch; precision is Keras's global policy."""
+    """schedule "cosine" lets the learning rate fall to zero at the last epoch; precision is Keras's
+    global policy."""
 
     epochs: int
     batch_size: int = 16
@@ -65,7 +67,8 @@ class TrainChoice:
 
 @dataclass(frozen=True)
 class Settings:
-    """name: of the folder under runs/; scene: scene file; data: HDF5 file, generated from the scene if missing."""
+    """name: of the folder under runs/; scene: scene file; data: HDF5 file, generated from the scene
+    if missing."""
 
     name: str
     scene: str

@@ -1,4 +1,5 @@
-"""Contacts: exact and consistent footprints, directions inside the cone, force histories, and reproducible draws."""
+"""Contacts: exact and consistent footprints, directions inside the cone, force histories, and
+reproducible draws."""
 
 import dataclasses
 
@@ -24,7 +25,8 @@ def surface():
 
 
 def contact(**changes):
-    """A push straight down that climbs from 0.5 s to 1.5 s, stays to 2.5 s, and goes on as `pattern`."""
+    """A push straight down that climbs from 0.5 s to 1.5 s, stays to 2.5 s, and goes on as
+    `pattern`."""
     ground = {
         "start": np.zeros(3),
         "end": np.array([3e-3, 0, 0]),
@@ -50,7 +52,8 @@ def many_draws(surface, ranges=RANGES, factor=None, n=60):
 
 
 def test_surface_area_and_normals_of_a_flat_top():
-    """The free surface of a block held at bottom and sides is its top: area, and normals straight up."""
+    """The free surface of a block held at bottom and sides is its top: area, and normals straight
+    up."""
     top = Surface(box((4, 3, 2), EDGE))
     assert top.area.sum() == pytest.approx(12 * EDGE**2, rel=1e-12)
     assert np.allclose(top.normal, [0, 0, 1])
@@ -58,7 +61,8 @@ def test_surface_area_and_normals_of_a_flat_top():
 
 @pytest.mark.parametrize("radius", [0.15e-3, 0.6e-3, 2.2e-3, 20e-3])
 def test_shares_add_up_to_one_for_any_footprint(radius, surface, distort):
-    """The total force is exact to rounding and nowhere negative for any radius and position, also across the rim."""
+    """The total force is exact to rounding and nowhere negative for any radius and position, also
+    across the rim."""
     for where in (surface, Surface(distort(tumour()))):
         for i in np.random.default_rng(0).choice(len(where.points), 60):
             share = where.footprint(where.points[i], radius)
@@ -68,7 +72,8 @@ def test_shares_add_up_to_one_for_any_footprint(radius, surface, distort):
 
 
 def test_resultant_acts_at_the_centre_of_the_footprint():
-    """The moment about a footprint's centre falls faster than the square of the cell edge, from 0.5 % of the radius."""
+    """The moment about a footprint's centre falls faster than the square of the cell edge, from 0.5
+    % of the radius."""
     length, radius, cells, errors = 8e-3, 2e-3, [8, 16, 32], []
     centres = np.random.default_rng(0).uniform(3e-3, 5e-3, (30, 3)) * [1, 1, 0] + [0, 0, 1e-3]
     for n in cells:
@@ -85,7 +90,8 @@ def test_resultant_acts_at_the_centre_of_the_footprint():
 
 
 def test_pressure_falls_off_as_it_should():
-    """The mean square distance of the shares from the centre is R^2/4, that of the pressure (1 - r^2/R^2)^2."""
+    """The mean square distance of the shares from the centre is R^2/4, that of the pressure (1 -
+    r^2/R^2)^2."""
     mesh, radius, centre = box((32, 32, 1), EDGE / 4), 3e-3, np.array([4.1, 3.9, 0.25]) * EDGE
     share = Surface(mesh).footprint(centre, radius)
     assert share @ np.sum((mesh.points - centre) ** 2, axis=1) == pytest.approx(
@@ -94,7 +100,8 @@ def test_pressure_falls_off_as_it_should():
 
 
 def test_footprint_is_smooth_in_its_position():
-    """A moving footprint hands its force from node to node without jumps: 1 % of an edge changes no share by 1 %."""
+    """A moving footprint hands its force from node to node without jumps: 1 % of an edge changes no
+    share by 1 %."""
     where = Surface(box((8, 8, 2), EDGE))
     path = [
         where.footprint(np.array([x, 4.1e-3, 2e-3]), 2e-3)
@@ -104,7 +111,8 @@ def test_footprint_is_smooth_in_its_position():
 
 
 def test_a_footprint_beside_the_surface_is_refused(surface):
-    """A footprint that holds no point of the surface is an InputError that names radius and place."""
+    """A footprint that holds no point of the surface is an InputError that names radius and
+    place."""
     with pytest.raises(InputError, match="radius 0.001 m at .* misses the free surface"):
         surface.footprint(np.array([0.1, 0.0, 0.0]), 1e-3)
     mesh = box((2, 2, 2), EDGE)
@@ -113,7 +121,8 @@ def test_a_footprint_beside_the_surface_is_refused(surface):
 
 
 def test_load_is_the_sum_of_its_contacts(surface):
-    """Each contact puts its whole force on the nodes: the load adds up to the sum of the force vectors."""
+    """Each contact puts its whole force on the nodes: the load adds up to the sum of the force
+    vectors."""
     contacts = many_draws(surface, n=1)[0]
     load = Load(surface, contacts)
     for t in (0.0, 0.7, 2.3, 5.0):
@@ -123,7 +132,8 @@ def test_load_is_the_sum_of_its_contacts(surface):
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.5])
 def test_directions_fill_the_cone_evenly(angle):
-    """Directions are unit vectors within the half-angle of the axis, spread evenly over the solid angle."""
+    """Directions are unit vectors within the half-angle of the axis, spread evenly over the solid
+    angle."""
     rng, axis = np.random.default_rng(0), np.array([2.0, -1.0, 2.0]) / 3
     directions = np.array([tilt(axis, angle, rng) for _ in range(2000)])
     cosine = directions @ axis
@@ -138,7 +148,8 @@ def test_directions_fill_the_cone_evenly(angle):
 
 
 def test_hold_climbs_and_stays():
-    """Nothing before the onset, half way up in the middle of the ramp, then the peak for good; never a jump."""
+    """Nothing before the onset, half way up in the middle of the ramp, then the peak for good;
+    never a jump."""
     force = np.array([-contact().force(t)[2] for t in np.linspace(0, 5, 501)])
     assert (
         not force[:51].any() and force[100] == pytest.approx(1e-3) and np.all(force[150:] == 2e-3)
@@ -147,7 +158,8 @@ def test_hold_climbs_and_stays():
 
 
 def test_release_goes_down_to_its_share():
-    """After the hold a release comes down to `low` times the peak over another ramp, and stays there."""
+    """After the hold a release comes down to `low` times the peak over another ramp, and stays
+    there."""
     force = np.array([-contact(pattern="release").force(t)[2] for t in np.linspace(0, 5, 501)])
     assert np.allclose(force[150:251], 2e-3, rtol=1e-12)
     assert np.all(np.diff(force[250:]) <= 0) and np.allclose(force[350:], 0.25 * 2e-3, rtol=1e-12)
@@ -163,14 +175,16 @@ def test_oscillation_swings_between_peak_and_share():
 
 
 def test_centre_runs_along_its_path():
-    """The centre waits at the start until the onset, is half way in the middle, and ends at the end."""
+    """The centre waits at the start until the onset, is half way in the middle, and ends at the
+    end."""
     c = contact()
     assert np.array_equal(c.centre(0.3), c.start) and np.allclose(c.centre(DURATION), c.end)
     assert np.allclose(c.centre((0.5 + DURATION) / 2), (c.start + c.end) / 2)
 
 
 def test_draws_stay_in_their_ranges(surface):
-    """Radius, peak, travel, cone and times of drawn contacts keep to the scene's ranges; every pattern occurs."""
+    """Radius, peak, travel, cone and times of drawn contacts keep to the scene's ranges; every
+    pattern occurs."""
     drawn = [c for contacts in many_draws(surface) for c in contacts]
     for c in drawn:
         assert RANGES.radius[0] <= c.radius <= RANGES.radius[1]
@@ -185,7 +199,8 @@ def test_draws_stay_in_their_ranges(surface):
 
 
 def test_drawn_footprints_keep_off_the_rim(surface):
-    """A drawn path starts and ends where the whole footprint is on the free surface, if the surface is wide enough."""
+    """A drawn path starts and ends where the whole footprint is on the free surface, if the surface
+    is wide enough."""
     rim = np.unique(surface_rim(tumour()), axis=0)
     for contacts in many_draws(surface):
         for c in contacts:
@@ -209,7 +224,8 @@ def test_same_seed_same_contacts(surface):
 
 
 def test_hard_interactions_push_together_beyond_the_range(surface):
-    """Every hard contact peaks at 1.3 to 1.6 times the largest force of the range, and all reach their peak together."""
+    """Every hard contact peaks at 1.3 to 1.6 times the largest force of the range, and all reach
+    their peak together."""
     for contacts in many_draws(surface, factor=(1.3, 1.6)):
         for c in contacts:
             assert 1.3 * RANGES.force[1] <= c.peak <= 1.6 * RANGES.force[1]

@@ -1,4 +1,5 @@
-"""Generation: the same data whatever the workers and interruptions, whole files only, and errors of one line."""
+"""Generation: the same data whatever the workers and interruptions, whole files only, and errors of
+one line."""
 
 import os
 import signal
@@ -67,7 +68,8 @@ def test_one_worker_and_two_give_the_same_file(tiny, tiny_dataset, tmp_path):
 
 
 def test_a_killed_run_goes_on_and_ends_with_the_same_data(tiny, tmp_path):
-    """Killed half way nothing is at the final path; the same command then ends with the data of an undisturbed run."""
+    """Killed half way nothing is at the final path; the same command then ends with the data of an
+    undisturbed run."""
     tree = config.merge(tiny, SLOW)
     scene, out = write_scene(tmp_path, tree), tmp_path / "killed" / "out.h5"
     process = command(scene, "--out", out, "--workers", 1)
@@ -143,7 +145,8 @@ def test_scene_without_fit_draws_ends_the_run_in_one_line(tiny, tmp_path, capsys
     ],
 )
 def test_bad_scene_ends_with_code_2(change, message, tiny, tmp_path, capsys):
-    """A wrong key or value ends the command line with code 2 and one line that names it, before any simulation."""
+    """A wrong key or value ends the command line with code 2 and one line that names it, before any
+    simulation."""
     scene = write_scene(tmp_path, config.merge(tiny, change))
     with pytest.raises(SystemExit) as exit:
         main([str(scene), "--out", str(tmp_path / "out.h5")])

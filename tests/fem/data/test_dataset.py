@@ -1,4 +1,5 @@
-"""The dataset file: what it holds, that it holds what was simulated, and what is refused when it is opened."""
+"""The dataset file: what it holds, that it holds what was simulated, and what is refused when it is
+opened."""
 
 import dataclasses
 import json
@@ -24,7 +25,8 @@ GRID = (5, 5, 3)
 
 
 def test_schema(tiny, tiny_dataset):
-    """The file states format, scene, digest, seed, versions, rejected draws and units, and has the documented shapes."""
+    """The file states format, scene, digest, seed, versions, rejected draws and units, and has the
+    documented shapes."""
     scene = config.build(Scene, tiny)
     with h5py.File(tiny_dataset) as file:
         assert file.attrs["format"] == FORMAT
@@ -48,7 +50,8 @@ def test_schema(tiny, tiny_dataset):
 
 
 def test_dataset_gives_back_scene_and_mesh(tiny, tiny_dataset):
-    """An opened dataset holds the scene that made it, and the mesh in mm with its cells and held nodes."""
+    """An opened dataset holds the scene that made it, and the mesh in mm with its cells and held
+    nodes."""
     dataset, scene = open_dataset(tiny_dataset), config.build(Scene, tiny)
     mesh = scene.mesh.build()
     assert dataset.scene == scene and dataset.scene.digest() == scene.digest()
@@ -60,7 +63,8 @@ def test_dataset_gives_back_scene_and_mesh(tiny, tiny_dataset):
 
 
 def test_mesh_with_holes_in_its_grid_comes_back(tiny, tmp_path):
-    """The tumour, which does not fill its grid, is rebuilt from mask, points and cells alone; outside all is zero."""
+    """The tumour, which does not fill its grid, is rebuilt from mask, points and cells alone;
+    outside all is zero."""
     scene = dataclasses.replace(config.build(Scene, tiny | {"mesh": {"kind": "tumour"}}))
     mesh = tumour()
     result = healthy_interaction(
@@ -78,7 +82,8 @@ def test_mesh_with_holes_in_its_grid_comes_back(tiny, tmp_path):
 
 
 def test_volume_is_that_of_the_displaced_mesh(tiny_dataset):
-    """The volume of each frame, in mm3, is that of the mesh displaced by the frame's displacement."""
+    """The volume of each frame, in mm3, is that of the mesh displaced by the frame's
+    displacement."""
     dataset = open_dataset(tiny_dataset)
     for split in SPLITS:
         fields = dataset.read(split)
@@ -97,7 +102,8 @@ def test_frames_start_at_rest_and_held_nodes_stay(tiny_dataset):
 
 
 def test_force_is_the_drawn_contacts(tiny, tiny_dataset):
-    """The force of an interaction follows from seed, split, number and attempt alone, in mN at each frame."""
+    """The force of an interaction follows from seed, split, number and attempt alone, in mN at each
+    frame."""
     scene, dataset = config.build(Scene, tiny), open_dataset(tiny_dataset)
     surface, fields = Surface(scene.mesh.build()), dataset.read("train")
     for i, number in enumerate(fields["number"]):
@@ -109,7 +115,8 @@ def test_force_is_the_drawn_contacts(tiny, tiny_dataset):
 
 
 def test_written_interactions_are_healthy(tiny, tiny_dataset):
-    """Every interaction in the file keeps to the scene's limits of imbalance, smallest J and kinetic energy."""
+    """Every interaction in the file keeps to the scene's limits of imbalance, smallest J and
+    kinetic energy."""
     health = config.build(Scene, tiny).health
     with h5py.File(tiny_dataset) as file:
         assert file["health/imbalance"][()].max() <= health.imbalance
@@ -144,7 +151,8 @@ def test_unfit_results_are_told_apart(tiny, spoil, reason):
 
 
 def test_unfit_draws_are_counted_and_drawn_again(tiny, tiny_dataset):
-    """A tight limit rejects draws of the hard interaction; the next fit draw is taken, and the file counts the others."""
+    """A tight limit rejects draws of the hard interaction; the next fit draw is taken, and the file
+    counts the others."""
     scene = config.build(Scene, tiny)
     result = healthy_interaction(scene, scene.mesh.build(), "test", 1)
     assert result["rejected"]["crushed cell"] > 0 and result["min_J"] >= 0.76
@@ -240,7 +248,8 @@ def garble_chunk(path):
     ],
 )
 def test_damaged_files_are_refused(spoil, message, tiny_dataset, tmp_path):
-    """A missing, cut, foreign, incomplete or garbled file, or one with a NaN, is an InputError of one line with the remedy."""
+    """A missing, cut, foreign, incomplete or garbled file, or one with a NaN, is an InputError of
+    one line with the remedy."""
     path = shutil.copy(tiny_dataset, tmp_path / "copy.h5")
     spoil(path)
     with pytest.raises(InputError) as error:

@@ -1,4 +1,5 @@
-"""Sequences for ParaView: the files open again with the values, times and energies of the dataset."""
+"""Sequences for ParaView: the files open again with the values, times and energies of the
+dataset."""
 
 import csv
 import importlib.util
@@ -56,7 +57,8 @@ def export(arguments):
 
 @pytest.fixture(scope="module", params=["on the grid", "embedded"])
 def dataset(request, tmp_path_factory):
-    """A dataset of a box of 4 x 4 x 2 cells, as a box or as a mesh file embedded in another grid."""
+    """A dataset of a box of 4 x 4 x 2 cells, as a box or as a mesh file embedded in another
+    grid."""
     folder = tmp_path_factory.mktemp("export")
     mesh = 'kind = "box"\nedge = 1e-3\ncells = [4, 4, 2]'
     if request.param == "embedded":
@@ -69,7 +71,8 @@ def dataset(request, tmp_path_factory):
 
 
 def test_an_exported_sequence_opens_again_with_its_values_and_times(dataset, tmp_path, capsys):
-    """PVD, VTU and energy table hold physical times, displacement, force and J of the cells on the mesh that was simulated."""
+    """PVD, VTU and energy table hold physical times, displacement, force and J of the cells on the
+    mesh that was simulated."""
     export([dataset, tmp_path / "out", "--interaction", 2])
     assert "test-0002.pvd" in capsys.readouterr().out
     sequence = open_dataset(dataset).sequence("test", 2)
@@ -95,7 +98,8 @@ def test_an_exported_sequence_opens_again_with_its_values_and_times(dataset, tmp
 
 
 def test_energies_come_as_a_table_that_balances(dataset, tmp_path):
-    """The table has a row for each frame, in J, whose external work is the sum of what it went into."""
+    """The table has a row for each frame, in J, whose external work is the sum of what it went
+    into."""
     export([dataset, tmp_path, "--split", "train"])
     with open(tmp_path / "train-0001-energy.csv", newline="") as table:
         rows = list(csv.DictReader(table))

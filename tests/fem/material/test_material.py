@@ -22,7 +22,8 @@ def diagonal(*entries):
 
 @pytest.mark.parametrize("case", ["uniaxial", "confined", "shear", "volumetric", "random"])
 def test_stress_equals_the_closed_form(case, reference):
-    """P = mu F + (K (J - 1) - mu/J) cof F in uniaxial, confined, shear, volumetric and random deformation, to 1e-10."""
+    """P = mu F + (K (J - 1) - mu/J) cof F in uniaxial, confined, shear, volumetric and random
+    deformation, to 1e-10."""
     ref = reference("ref2_homogeneous_closed_form")
     if case == "uniaxial":
         F, P = diagonal(ref["uni_stretch"], ref["uni_lateral"], ref["uni_lateral"]), ref["uni_P"]
@@ -52,7 +53,8 @@ def test_stress_is_the_gradient_of_the_energy():
 
 
 def test_small_strain_moduli():
-    """mu is the shear modulus, K takes the place of the Lame lambda, and K + 2 mu is the confined modulus."""
+    """mu is the shear modulus, K takes the place of the Lame lambda, and K + 2 mu is the confined
+    modulus."""
     e = 1e-7
     P = TISSUE.stress(np.eye(3) + e * np.array([[1, 0.5, 0], [0, 0, 0], [0, 0, 0]]))
     assert P[0, 0] / e == pytest.approx(TISSUE.K + 2 * TISSUE.mu, rel=1e-5)
@@ -62,7 +64,8 @@ def test_small_strain_moduli():
 
 
 def test_moduli_of_the_paper():
-    """K = 2 mu (1 + nu) / (3 (1 - 2 nu)) = 2366.7 Pa, waves at 1.78 m/s, and an effective Poisson ratio of 0.4277."""
+    """K = 2 mu (1 + nu) / (3 (1 - 2 nu)) = 2366.7 Pa, waves at 1.78 m/s, and an effective Poisson
+    ratio of 0.4277."""
     assert TISSUE.K == pytest.approx(2366.7, abs=0.05)
     assert np.sqrt(TISSUE.p_modulus / TISSUE.density) == pytest.approx(1.78, abs=0.005)
     assert TISSUE.K / (2 * (TISSUE.K + TISSUE.mu)) == pytest.approx(0.4277, abs=5e-5)
@@ -86,7 +89,8 @@ def test_energy_is_infinite_where_the_tissue_is_inverted():
 
 
 def test_relaxation_function(reference):
-    """G(0) = 1, G(t) is that of the reference, G(infinity) = 1 - sum g, and without Prony terms G = 1."""
+    """G(0) = 1, G(t) is that of the reference, G(infinity) = 1 - sum g, and without Prony terms G =
+    1."""
     ref = reference("ref3_qlv_one_element")
     material = Material(400.0, 0.42, 1000.0, PAPER)
     assert material.relaxation(0.0) == 1

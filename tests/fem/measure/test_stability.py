@@ -49,7 +49,8 @@ def assert_nothing_wrong(table):
 
 
 def test_quick_map_has_no_wrong_cell(tmp_path):
-    """`python tools/stability.py --quick` ends well and writes a figure and a table in which every cell is accurate or stopped."""
+    """`python tools/stability.py --quick` ends well and writes a figure and a table in which every
+    cell is accurate or stopped."""
     command = [sys.executable, "tools/stability.py", "--quick", "--out", str(tmp_path)]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stdout + run.stderr
@@ -84,7 +85,8 @@ def test_single_precision_keeps_small_strains(kind, size):
 
 
 def test_locking_element_is_refused_with_the_remedy():
-    """The full element is an InputError above the limit that names another; the others take nu = 0.4999."""
+    """The full element is an InputError above the limit that names another; the others take nu =
+    0.4999."""
     stiff = Material(mu=400.0, nu=0.4999, density=1000.0)
     with pytest.raises(
         InputError, match="locks at material.nu = 0.4999 .*; use element = 'mean_dilatation'"
@@ -99,7 +101,8 @@ def test_locking_element_is_refused_with_the_remedy():
 
 
 def test_hourglass_control_relaxes_with_the_stress():
-    """A reduced block creeps under a footprint as its stress does: 3.77 times in a minute, not 3.37 times."""
+    """A reduced block creeps under a footprint as its stress does: 3.77 times in a minute, not 3.37
+    times."""
     viscous = Material(mu=400.0, nu=0.42, density=1000.0, prony=((0.12, 330.0), (0.8, 11.0)))
     load = push(1e-7)
     solver, ledger = (
@@ -113,7 +116,8 @@ def test_hourglass_control_relaxes_with_the_stress():
 
 
 def test_short_pulse_keeps_its_impulse():
-    """A pulse of twelve steps, shorter than the usual time between samples of the load, gives a free block its momentum."""
+    """A pulse of twelve steps, shorter than the usual time between samples of the load, gives a
+    free block its momentum."""
     mesh = box((2, 2, 2), EDGE, "none")
     solver = Solver(mesh, TISSUE)
     start, length = 100.3 * solver.max_step, 6.1 * solver.max_step
@@ -124,7 +128,8 @@ def test_short_pulse_keeps_its_impulse():
 
 @pytest.mark.parametrize("peak", [2e-3, 5e-3])
 def test_impact_is_saved_by_smaller_steps(peak):
-    """A sudden force that crushed cells at the usual step ends in balance, close to the run with small steps."""
+    """A sudden force that crushed cells at the usual step ends in balance, close to the run with
+    small steps."""
     load, depths = push(peak), []
     for safety in (0.85, 0.1):
         solver, ledger, record = Solver(BLOCK, TISSUE, safety=safety), EnergyLedger(), []
@@ -146,7 +151,8 @@ def test_tangled_cells_stop_the_run():
 
 
 def test_step_past_the_critical_is_refused():
-    """As a safety above 1 or as too few steps, it is stopped before the first step; so is a run without end."""
+    """As a safety above 1 or as too few steps, it is stopped before the first step; so is a run
+    without end."""
     still = np.zeros((3, 1))
     for solver, steps in ((Solver(BLOCK, TISSUE, safety=1.05), None), (Solver(BLOCK, TISSUE), 99)):
         with pytest.raises(SolverStopped, match="exceeds the critical") as stop:

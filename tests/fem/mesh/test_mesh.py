@@ -35,7 +35,8 @@ def test_tumour_has_the_counts_and_volume_of_the_paper():
 
 
 def test_tumour_is_held_at_bottom_and_periphery_and_free_on_top():
-    """Every boundary face off the top plane is held, every node of the top away from the rim is free."""
+    """Every boundary face off the top plane is held, every node of the top away from the rim is
+    free."""
     mesh = tumour()
     faces = mesh.boundary_faces
     top = (mesh.points[faces, 2] == mesh.points[:, 2].max()).all(axis=1)
@@ -66,7 +67,8 @@ def test_box_holds_what_it_is_told_to():
 
 @pytest.mark.parametrize("make", [tumour, lambda: box((4, 3, 2), EDGE)])
 def test_grid_round_trip(make):
-    """to_grid then from_grid gives the nodal field back, and the grid is zero where there is no material."""
+    """to_grid then from_grid gives the nodal field back, and the grid is zero where there is no
+    material."""
     mesh = make()
     values = np.random.default_rng(0).normal(size=(2, mesh.n_nodes, 3))
     grid = mesh.to_grid(values)
@@ -76,7 +78,8 @@ def test_grid_round_trip(make):
 
 
 def test_grid_places_nodes_by_position():
-    """Grid entry [i, j, k] belongs to the node at (i, j, k) edges, z up: pooling anchored on top stays on top."""
+    """Grid entry [i, j, k] belongs to the node at (i, j, k) edges, z up: pooling anchored on top
+    stays on top."""
     mesh = tumour(edge=1.0)
     i, j, k = np.round(np.moveaxis(mesh.to_grid(mesh.points), -1, 0)).astype(int)
     mask = mesh.to_grid(np.ones((mesh.n_nodes, 1)))[..., 0] > 0
@@ -94,7 +97,8 @@ def test_a_grid_of_another_shape_is_refused():
 
 @pytest.mark.parametrize("make", [tumour, lambda: box((4, 3, 2), EDGE)])
 def test_boundary_faces_point_outwards(make, distort):
-    """The divergence theorem over the boundary faces gives the Gauss volume, also of a distorted mesh."""
+    """The divergence theorem over the boundary faces gives the Gauss volume, also of a distorted
+    mesh."""
     for mesh in (make(), distort(make())):
         assert surface_volume(mesh) == pytest.approx(mesh.volume(), rel=1e-12)
 

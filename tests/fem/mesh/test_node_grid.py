@@ -1,4 +1,5 @@
-"""Between meshes and node grids: finding the grid of a shuffled mesh, embedding one that has none, and curved loaded surfaces."""
+"""Between meshes and node grids: finding the grid of a shuffled mesh, embedding one that has none,
+and curved loaded surfaces."""
 
 import dataclasses
 
@@ -29,7 +30,8 @@ def bend(points):
 
 
 def shuffled(mesh, seed=0):
-    """(points, cells, number) of the mesh with nodes, cells and corners in random order; number[old node] is the new one."""
+    """(points, cells, number) of the mesh with nodes, cells and corners in random order; number[old
+    node] is the new one."""
     rng = np.random.default_rng(seed)
     node = rng.permutation(mesh.n_nodes)
     number = np.argsort(node)
@@ -40,7 +42,8 @@ def shuffled(mesh, seed=0):
 @pytest.mark.parametrize("make", [tumour, lambda: box((7, 4, 3), 1e-3)])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_grid_of_a_shuffled_curved_mesh_is_found(make, seed):
-    """With nodes, cells and corners in random order and the mesh bent, every node goes back to its place, also around the tumour's steps."""
+    """With nodes, cells and corners in random order and the mesh bent, every node goes back to its
+    place, also around the tumour's steps."""
     mesh = make()
     edge = np.ptp(mesh.points[mesh.cells[0]], axis=0).max()
     points, cells, number = shuffled(
@@ -59,7 +62,8 @@ def test_the_grid_of_a_shuffled_curved_mesh_is_found(make, seed):
     [("z max", (7, 6, 5)), ("x max", (5, 6, 7)), ("y min", (7, 5, 6)), ("z min", (7, 6, 5))],
 )
 def test_the_loaded_side_is_the_last_layer_of_the_grid(tmp_path, axis, shape):
-    """Whichever side is loaded becomes the last layer along the third axis, in a right-handed grid."""
+    """Whichever side is loaded becomes the last layer along the third axis, in a right-handed
+    grid."""
     mesh, path = box((6, 5, 4), 1.0, "none"), tmp_path / "block.vtu"
     meshio.Mesh(mesh.points, [("hexahedron", mesh.cells)]).write(path)
     mesh = read_mesh(path, 1.0, f"all but {axis}", axis)
@@ -88,7 +92,8 @@ def test_a_surface_on_several_sides_is_refused_with_the_remedy(tmp_path):
 
 
 def ring(n=12):
-    """A ring of n x 2 x 2 cells, closed, so that no regular grid can hold it; its bottom is fixed, its top loaded."""
+    """A ring of n x 2 x 2 cells, closed, so that no regular grid can hold it; its bottom is fixed,
+    its top loaded."""
     strip = box((n, 2, 2), 1.0, "none")
     i, j, k = np.round(strip.points).astype(int).T
     radius, angle = 3.0 + j, 2 * np.pi * (i % n) / n
@@ -113,7 +118,8 @@ def wave(points):
 
 
 def test_a_ring_has_no_grid_and_is_embedded_in_one():
-    """The walk round a closed ring meets itself one turn off: no grid. Its embedding carries about its volume."""
+    """The walk round a closed ring meets itself one turn off: no grid. Its embedding carries about
+    its volume."""
     mesh = ring()
     assert node_grid(mesh) is None
     for shape, off in (((9, 9, 4), 0.01), (None, 0.02)):
@@ -124,7 +130,8 @@ def test_a_ring_has_no_grid_and_is_embedded_in_one():
 
 
 def test_embedding_error_falls_with_the_grid():
-    """From the mesh to the grid and back a smooth field loses ever less: under 1 % on a grid as fine as the mesh."""
+    """From the mesh to the grid and back a smooth field loses ever less: under 1 % on a grid as
+    fine as the mesh."""
     mesh = ring(24)
     u, errors = wave(mesh.points), []
     for n in (7, 13, 25):
@@ -135,7 +142,8 @@ def test_embedding_error_falls_with_the_grid():
 
 
 def test_embedding_keeps_force_virtual_work_and_linear_fields():
-    """The forces on the grid add up to the mesh's and do the same work in every grid field; stretching is exact."""
+    """The forces on the grid add up to the mesh's and do the same work in every grid field;
+    stretching is exact."""
     mesh = ring()
     embedding, rng = Embedding(mesh, (7, 8, 5)), np.random.default_rng(0)
     force = rng.normal(size=(2, mesh.n_nodes, 3))
@@ -157,7 +165,8 @@ def test_embedding_keeps_force_virtual_work_and_linear_fields():
 
 
 def test_embedding_turns_the_loaded_surface_up():
-    """For a surface that faces -x the grid's third axis runs along -x, and points stay where they are."""
+    """For a surface that faces -x the grid's third axis runs along -x, and points stay where they
+    are."""
     mesh = ring()
     turned = dataclasses.replace(
         mesh, points=mesh.points @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
@@ -171,7 +180,8 @@ def test_embedding_turns_the_loaded_surface_up():
 
 @pytest.fixture(scope="module")
 def shell():
-    """Half a thin tube (radius 10 to 10.4, length 12), held at its two straight edges, free inside and outside."""
+    """Half a thin tube (radius 10 to 10.4, length 12), held at its two straight edges, free inside
+    and outside."""
     strip = box((24, 12, 2), 1.0, "none")
     a, y, c = strip.points.T / [[24], [1], [2]]
     angle, radius = np.pi * (0.5 - a), 10 + 0.4 * c
@@ -182,7 +192,8 @@ def shell():
 
 
 def test_a_footprint_follows_the_curve_and_stays_on_its_side_of_a_thin_wall(shell):
-    """A centre below the crown of a tube, as on a straight path, pushes on the outside alone, with its whole radius."""
+    """A centre below the crown of a tube, as on a straight path, pushes on the outside alone, with
+    its whole radius."""
     surface, outside = Surface(shell), np.linalg.norm(shell.points[:, [0, 2]], axis=1) > 10.3
     crown = np.array([0.0, 6.0, 10.4])
     on_top, below = surface.footprint(crown, 3.0), surface.footprint(crown - [0, 0, 0.15], 3.0)
@@ -194,7 +205,8 @@ def test_a_footprint_follows_the_curve_and_stays_on_its_side_of_a_thin_wall(shel
 
 
 def test_paths_on_a_loaded_surface_keep_off_its_edge_and_on_its_side(shell):
-    """Draws on a chosen part of a surface start and end a radius away from its edge, and never cross to the other side."""
+    """Draws on a chosen part of a surface start and end a radius away from its edge, and never
+    cross to the other side."""
     outside = np.linalg.norm(shell.points[:, [0, 2]], axis=1) > 10.3
     ranges = ContactRange(count=1, radius=(1.5, 2.0), force=(1.0, 2.0), travel=(0.0, 12.0))
     for mesh, edge in (

@@ -1,4 +1,5 @@
-"""Meshes from files: every format and selection gives the same mesh, bad cells are named, and scenes become datasets."""
+"""Meshes from files: every format and selection gives the same mesh, bad cells are named, and
+scenes become datasets."""
 
 import dataclasses
 import re
@@ -20,7 +21,8 @@ from unet_fem.training import samples as data
 
 @pytest.fixture(scope="module")
 def block():
-    """A bent block of 6 x 5 x 4 cells, its nodes on no axis-aligned grid: the HexMesh, with the z = 0 side fixed."""
+    """A bent block of 6 x 5 x 4 cells, its nodes on no axis-aligned grid: the HexMesh, with the z =
+    0 side fixed."""
     mesh = box((6, 5, 4), 1.0, "bottom")
     x, y, z = mesh.points.T
     return dataclasses.replace(
@@ -30,7 +32,8 @@ def block():
 
 @pytest.fixture(scope="module")
 def files(block, tmp_path_factory):
-    """The block, shuffled and in mm, in every format; `base` and `top` name its lower and upper side, `cap` holds quads."""
+    """The block, shuffled and in mm, in every format; `base` and `top` name its lower and upper
+    side, `cap` holds quads."""
     folder = tmp_path_factory.mktemp("meshes")
     rng = np.random.default_rng(0)
     node = rng.permutation(block.n_nodes)
@@ -83,7 +86,8 @@ def files(block, tmp_path_factory):
     "name", ["block.vtu", "block.vtk", "block22.msh", "block41.msh", "block.inp"]
 )
 def test_every_format_gives_the_same_mesh_and_its_named_sides(files, block, name):
-    """VTK, Gmsh 2.2 and 4.1 and Abaqus files give nodes, cells, held base and loaded top; a stray point is dropped."""
+    """VTK, Gmsh 2.2 and 4.1 and Abaqus files give nodes, cells, held base and loaded top; a stray
+    point is dropped."""
     mesh = read_mesh(files / name, 1e-3, "base", "top")
     shape, index = node_grid(mesh)
     assert shape == block.grid_shape and mesh.n_cells == block.n_cells
@@ -106,7 +110,8 @@ def test_every_format_gives_the_same_mesh_and_its_named_sides(files, block, name
     ],
 )
 def test_selections_by_name_value_and_place(files, text, count):
-    """Terms select by cell value, extreme and half-space, lists add up, and 'all but' turns the boundary round."""
+    """Terms select by cell value, extreme and half-space, lists add up, and 'all but' turns the
+    boundary round."""
     mesh = read_mesh(files / "block.vtu", 1e-3, text, "top") if text != "x > -1e1" else None
     if mesh is None:  # everything is fixed: nothing is left to push on
         with pytest.raises(InputError, match="no free boundary face"):
@@ -176,7 +181,8 @@ def spoiled(block, kind):
     ],
 )
 def test_cells_that_cannot_be_solved_are_named(block, tmp_path, kind, named):
-    """Inverted, degenerate and non-hexahedral cells, surfaces alone and loose parts are InputErrors that name file and cell."""
+    """Inverted, degenerate and non-hexahedral cells, surfaces alone and loose parts are InputErrors
+    that name file and cell."""
     path = tmp_path / "spoiled.vtu"
     spoiled(block, kind).write(path)
     with pytest.raises(InputError, match=named) as error:
@@ -197,7 +203,8 @@ def test_cells_that_cannot_be_solved_are_named(block, tmp_path, kind, named):
     ],
 )
 def test_unreadable_files_are_one_line_with_the_remedy(block, tmp_path, case, capfd):
-    """Missing, damaged and unknown files, and those that meshio would read in part, are InputErrors; nothing else is printed."""
+    """Missing, damaged and unknown files, and those that meshio would read in part, are
+    InputErrors; nothing else is printed."""
     path = tmp_path / case
     if case == "voxels.vtu":  # meshio leaves cells of type 11 out with a warning
         meshio.Mesh(block.points, [("hexahedron", block.cells)]).write(path, binary=False)
@@ -255,7 +262,8 @@ def scene_with(files, grid="", file="block.vtu"):
 
 @pytest.mark.parametrize("grid", ["", ", grid = [6, 6, 5]"])
 def test_a_mesh_file_becomes_a_dataset_and_samples(files, tmp_path, grid):
-    """A scene with a mesh file gives a dataset on its own or the chosen grid, equal to its scene, with total forces and work kept."""
+    """A scene with a mesh file gives a dataset on its own or the chosen grid, equal to its scene,
+    with total forces and work kept."""
     scene, path = scene_with(files, grid), tmp_path / "block.h5"
     generate(scene, path, workers=1)
     dataset = open_dataset(path)
@@ -288,7 +296,8 @@ def test_a_mesh_file_becomes_a_dataset_and_samples(files, tmp_path, grid):
 
 
 def test_a_changed_mesh_makes_another_scene(files, tmp_path):
-    """The scene knows the content of its mesh file, wherever it lies; a scene from a dataset refuses another mesh."""
+    """The scene knows the content of its mesh file, wherever it lies; a scene from a dataset
+    refuses another mesh."""
     (tmp_path / "a").mkdir()
     for folder in (tmp_path, tmp_path / "a"):
         (folder / "block.vtu").write_bytes((files / "block.vtu").read_bytes())
@@ -326,7 +335,8 @@ def test_wrong_mesh_tables_are_named(files, mesh, words):
 
 
 def test_the_shipped_lobe_is_a_curved_block_on_a_grid(request):
-    """configs/lobe.vtu is what tools/make_lobe.py writes: 12 x 12 x 6 distorted cells, pushed on from above."""
+    """configs/lobe.vtu is what tools/make_lobe.py writes: 12 x 12 x 6 distorted cells, pushed on
+    from above."""
     scene = load_scene(request.config.rootpath / "configs/lobe.toml")
     mesh = scene.mesh.build()
     assert mesh.grid_shape == (13, 13, 7) and mesh.n_cells == 864 and not mesh.congruent

@@ -1,4 +1,5 @@
-"""The energy ledger: it balances for every kind of run, counts work exactly, and stops a run that invents energy."""
+"""The energy ledger: it balances for every kind of run, counts work exactly, and stops a run that
+invents energy."""
 
 import dataclasses
 import warnings
@@ -21,7 +22,8 @@ MESH = box((5, 5, 3), EDGE)
 
 
 def push(mesh=MESH, peak=2e-3):
-    """A smooth push (3, N) with a shear component, and its history over 0.2 s: up, and half back."""
+    """A smooth push (3, N) with a shear component, and its history over 0.2 s: up, and half
+    back."""
     share = Surface(mesh).footprint(np.array([2.3, 2.6, 3.0]) * EDGE, 2e-3)
     field = peak * np.array([[0.3], [0.1], [-1.0]]) * share
     return lambda t: field * (np.sin(np.pi * t / 0.25) ** 2 if t < 0.201 else 0.0)
@@ -38,7 +40,8 @@ def run(material=ELASTIC, mesh=MESH, duration=0.2, **choices):
 @pytest.mark.parametrize("damping", [0.0, 30.0])
 @pytest.mark.parametrize("kind", ELEMENTS)
 def test_energy_balances(kind, damping, material, precision):
-    """Work is stored, relaxed or damped to 0.1 % in every combination, and each account is used when it applies."""
+    """Work is stored, relaxed or damped to 0.1 % in every combination, and each account is used
+    when it applies."""
     solver, ledger = run(material, element=kind, damping=damping, precision=precision)
     rows = dict(zip(COLUMNS, np.array(ledger.rows).T))
     assert len(ledger.rows) >= 3 and ledger.external > 0
@@ -94,7 +97,8 @@ def balance(solver, ledger):
 
 
 def test_viscous_account_spares_in_loading_and_loses_in_unloading():
-    """Up to the peak the viscous stresses spare work; after unloading more was done than the elastic energy that is left."""
+    """Up to the peak the viscous stresses spare work; after unloading more was done than the
+    elastic energy that is left."""
     _, ledger = run(VISCOELASTIC, damping=30.0)
     rows = dict(zip(COLUMNS, np.array(ledger.rows).T))
     loading = (rows["time"] > 0) & (rows["time"] < 0.125)
@@ -105,7 +109,8 @@ def test_viscous_account_spares_in_loading_and_loses_in_unloading():
 
 
 def test_invented_energy_stops_the_run():
-    """An observer that speeds everything up by 2 % a step is found out, with the reason 'energy imbalance'."""
+    """An observer that speeds everything up by 2 % a step is found out, with the reason 'energy
+    imbalance'."""
 
     def cheat(solver):
         solver.v *= 1.02
@@ -138,7 +143,8 @@ def test_a_nan_is_out_of_balance():
 
 
 def test_ledger_only_watches():
-    """A run with a ledger has bit for bit the displacement of a run without, and a row each 128 to 192 steps."""
+    """A run with a ledger has bit for bit the displacement of a run without, and a row each 128 to
+    192 steps."""
     solver, ledger = run(VISCOELASTIC, duration=0.3, damping=30.0)
     alone = Solver(MESH, VISCOELASTIC, damping=30.0)
     alone.advance(0.3, push())
@@ -150,7 +156,8 @@ def test_ledger_only_watches():
 
 
 def test_bending_on_a_coarse_reduced_mesh_is_warned_of_once_and_a_full_one_is_not():
-    """A narrow push on 5 x 5 x 3 reduced cells puts over 5 % of the strain energy into hourglass motion."""
+    """A narrow push on 5 x 5 x 3 reduced cells puts over 5 % of the strain energy into hourglass
+    motion."""
     with pytest.warns(RuntimeWarning, match="hourglass energy is .* refine the mesh") as said:
         run(element="reduced", damping=30.0)
     assert len([warning for warning in said if "hourglass" in str(warning.message)]) == 1

@@ -41,7 +41,8 @@ def top_push(mesh, peak):
 
 
 def test_lumped_mass_is_positive_and_complete(distort):
-    """Nodal masses add up to density times volume, in any mesh, and a corner of a cube carries an eighth."""
+    """Nodal masses add up to density times volume, in any mesh, and a corner of a cube carries an
+    eighth."""
     mesh = distort(box((4, 3, 2), EDGE))
     mass = lumped_mass(mesh, 1000.0)
     assert mass.min() > 0 and mass.sum() == pytest.approx(1000.0 * mesh.volume(), rel=1e-13)
@@ -69,7 +70,8 @@ def test_free_flight_keeps_momentum_and_angular_momentum(kind, distort):
 @pytest.mark.parametrize("mesh", [box((4, 4, 3), EDGE), tumour()], ids=["box", "tumour"])
 @every_element
 def test_critical_step_is_sharp(kind, mesh):
-    """600 steps of 0.98 of the critical step keep a small motion small; with 1.02 it grows without bound."""
+    """600 steps of 0.98 of the critical step keep a small motion small; with 1.02 it grows without
+    bound."""
     stable = moving(Solver(mesh, TISSUE, kind), 1e-9)
     speed = np.linalg.norm(stable.v)
     stable.advance(600 * 0.98 * stable.critical_step, no_load, steps=600)
@@ -145,7 +147,8 @@ def test_equilibrium_says_what_is_wrong():
 
 
 def test_step_follows_the_compressed_tissue():
-    """A push that blows up at the step of the rest shape stays balanced to 1e-4 when the step is estimated again."""
+    """A push that blows up at the step of the rest shape stays balanced to 1e-4 when the step is
+    estimated again."""
     mesh = box((6, 6, 4), EDGE)
     peak, duration = top_push(mesh, 7e-3), 0.3
 
@@ -175,7 +178,8 @@ def test_mass_scaling_lengthens_the_step_by_its_root():
 
 
 def test_fixed_number_of_steps():
-    """`steps` takes exactly that many; with the number that the stable step asks for nothing changes."""
+    """`steps` takes exactly that many; with the number that the stable step asks for nothing
+    changes."""
     mesh = box((4, 4, 3), EDGE)
     load = top_push(mesh, 1e-3)
     free, fixed = Solver(mesh, TISSUE), Solver(mesh, TISSUE)
@@ -187,7 +191,8 @@ def test_fixed_number_of_steps():
 
 
 def test_crushed_cell_stops_the_run_and_is_named():
-    """A slow push beyond what a cell can bear stops with 'crushed cell' and its number, before J is negative."""
+    """A slow push beyond what a cell can bear stops with 'crushed cell' and its number, before J is
+    negative."""
     mesh = box((1, 1, 1), EDGE, "bottom")
     solver = Solver(mesh, TISSUE, damping=500.0)
     weight = np.where(mesh.points[:, 2] > 0, -4e-3, 0) * np.array([[0], [0], [1]])
@@ -222,7 +227,8 @@ def test_no_run_ends_with_nonsense(peak):
 
 
 def test_impossible_settings_are_refused():
-    """A mesh that cannot move and settings without meaning are InputErrors that name the setting."""
+    """A mesh that cannot move and settings without meaning are InputErrors that name the
+    setting."""
     mesh = box((2, 2, 2), EDGE)
     held = dataclasses.replace(mesh, fixed=np.ones(mesh.n_nodes, bool))
     with pytest.raises(InputError, match="every node"):

@@ -67,7 +67,8 @@ def traction_forces(mesh, P):
 @every_mesh
 @every_element
 def test_patch(kind, shape, make):
-    """A linear displacement gives zero force inside and the traction of Material.stress on the boundary, in any mesh."""
+    """A linear displacement gives zero force inside and the traction of Material.stress on the
+    boundary, in any mesh."""
     mesh = make(shape)
     u = (F - np.eye(3)) @ mesh.points.T
     force = InternalForce(mesh, TISSUE, kind)(u)
@@ -152,7 +153,8 @@ def test_shared_and_cellwise_gradients_agree(kind):
 
 @every_element
 def test_chunks_do_not_show(kind, make, monkeypatch):
-    """Passing over the cells in chunks of 5 changes neither forces nor energies nor the smallest J."""
+    """Passing over the cells in chunks of 5 changes neither forces nor energies nor the smallest
+    J."""
     mesh = make("distorted")
     u, whole = wobble(mesh), InternalForce(mesh, TISSUE, kind)
     monkeypatch.setattr(internal_force, "CHUNK", 5)
@@ -166,7 +168,8 @@ def test_chunks_do_not_show(kind, make, monkeypatch):
 
 
 def test_dilatation_is_the_ratio_of_volumes(make):
-    """J of a cell is its deformed over its rest volume, and `check` finds the cell with the smallest J."""
+    """J of a cell is its deformed over its rest volume, and `check` finds the cell with the
+    smallest J."""
     mesh = make("distorted")
     u = wobble(mesh, 0.05)
     force = InternalForce(mesh, TISSUE)
@@ -185,7 +188,8 @@ def test_dilatation_is_the_ratio_of_volumes(make):
 
 
 def test_static_equilibrium_of_another_code(reference):
-    """felupe's converged displacement under two nodal forces leaves no residual here, at four loads, and has our energy."""
+    """felupe's converged displacement under two nodal forces leaves no residual here, at four
+    loads, and has our energy."""
     ref = reference("ref1_block_two_nodal_forces_hex8")
     force = InternalForce(HexMesh(ref["points"], ref["cells"], ref["fixed"]), TISSUE)
     free = ~ref["fixed"]
@@ -198,7 +202,8 @@ def test_static_equilibrium_of_another_code(reference):
 
 @pytest.mark.parametrize("shape", ["congruent", "distorted"])
 def test_internal_force_of_another_code(shape, distort):
-    """felupe, with its own elements and constitutive law, assembles the same force vector on the tumour."""
+    """felupe, with its own elements and constitutive law, assembles the same force vector on the
+    tumour."""
     mesh = tumour(EDGE) if shape == "congruent" else distort(tumour(EDGE))
     u = wobble(mesh)
     region = felupe.RegionHexahedron(felupe.Mesh(mesh.points, mesh.cells, "hexahedron"))
@@ -211,7 +216,8 @@ def test_internal_force_of_another_code(shape, distort):
 
 
 def test_one_pressure_a_cell_does_not_lock():
-    """Near nu = 0.5 the bending of one mean-dilatation cell costs shear energy alone; a full cell pays K for it."""
+    """Near nu = 0.5 the bending of one mean-dilatation cell costs shear energy alone; a full cell
+    pays K for it."""
     mesh = box((1, 1, 1), EDGE)
     x, y, z = (mesh.points - EDGE / 2).T
     bend = 0.02 / EDGE * np.stack([x * z, 0 * y, 0 * z])
@@ -226,7 +232,8 @@ def test_one_pressure_a_cell_does_not_lock():
 
 
 def test_hourglass_stiffness_holds_the_zero_energy_modes():
-    """An hourglass pattern costs the reduced element nothing without control, and energy with it."""
+    """An hourglass pattern costs the reduced element nothing without control, and energy with
+    it."""
     mesh = box((1, 1, 1), EDGE)
     u = (
         0.05

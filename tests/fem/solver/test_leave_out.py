@@ -1,4 +1,5 @@
-"""What a scene does not mention costs nothing and changes no bit: Prony terms, damping, a second contact, general cells."""
+"""What a scene does not mention costs nothing and changes no bit: Prony terms, damping, a second
+contact, general cells."""
 
 import dataclasses
 import time
@@ -55,7 +56,8 @@ def pushed(mesh, material, duration=0.05, **choices):
 
 
 def test_elastic_tissue_keeps_no_history():
-    """Without Prony terms there is no history, no old stress, and no second kernel for the tangent."""
+    """Without Prony terms there is no history, no old stress, and no second kernel for the
+    tangent."""
     elastic, viscous = (
         Solver(box((4, 4, 3), EDGE), material) for material in (TISSUE, VISCOELASTIC)
     )
@@ -68,7 +70,8 @@ def test_elastic_tissue_keeps_no_history():
 
 
 def test_elastic_run_takes_less_time_and_memory():
-    """On the tumour Prony terms, brought up to date in every step, cost at least a quarter more time and twice the memory."""
+    """On the tumour Prony terms, brought up to date in every step, cost at least a quarter more
+    time and twice the memory."""
     mesh, u = tumour(), np.zeros((3, 1782))
     elastic, viscous = InternalForce(mesh, TISSUE), InternalForce(mesh, VISCOELASTIC)
 
@@ -94,7 +97,8 @@ def test_prony_terms_left_out_change_no_bit(precision):
 
 
 def test_scene_without_prony_equals_scene_with_an_empty_list(tiny):
-    """A scene file that leaves `prony` out gives the frames of one that sets it to an empty list."""
+    """A scene file that leaves `prony` out gives the frames of one that sets it to an empty
+    list."""
     silent = {key: value for key, value in tiny["material"].items() if key != "prony"}
     results = []
     for material in (silent, silent | {"prony": []}):
@@ -119,7 +123,8 @@ def test_damping_of_zero_changes_no_bit():
 
 
 def test_one_contact_is_one_contact(tiny):
-    """With count = 1 there is one Contact; its load is bit for bit its own force field, from one footprint each time."""
+    """With count = 1 there is one Contact; its load is bit for bit its own force field, from one
+    footprint each time."""
     scene = config.build(Scene, config.merge(tiny, {"contact": {"count": 1}}))
     surface = Surface(scene.mesh.build())
     (contact,) = draw_contacts(
@@ -137,7 +142,8 @@ def test_one_contact_is_one_contact(tiny):
 
 
 def test_first_contact_does_not_depend_on_a_second(tiny):
-    """With one seed, the contact of a scene with one is the first contact of the same scene with two."""
+    """With one seed, the contact of a scene with one is the first contact of the same scene with
+    two."""
     one, two = (config.build(Scene, config.merge(tiny, {"contact": {"count": n}})) for n in (1, 2))
     surface = Surface(one.mesh.build())
     single, pair = (
@@ -150,7 +156,8 @@ def test_first_contact_does_not_depend_on_a_second(tiny):
 
 
 def test_congruent_cells_share_one_gradient_matrix():
-    """A mesh of equal cubes holds one (24, 8) gradient matrix whatever its size, and no Jacobian for each cell."""
+    """A mesh of equal cubes holds one (24, 8) gradient matrix whatever its size, and no Jacobian
+    for each cell."""
     for mesh in (box((2, 2, 2), EDGE), tumour()):
         (chunk,) = InternalForce(mesh, TISSUE)._chunks
         assert chunk.gradient.shape == (24, 8) and chunk.to_physical is None

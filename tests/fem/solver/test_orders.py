@@ -1,4 +1,5 @@
-"""Orders of accuracy: the solver against a vibrating bar, a manufactured motion, and its own energy."""
+"""Orders of accuracy: the solver against a vibrating bar, a manufactured motion, and its own
+energy."""
 
 import dataclasses
 
@@ -23,7 +24,8 @@ def order(sizes, errors):
 
 
 def test_waves_in_a_confined_bar_run_at_the_dilatational_speed():
-    """A held bar without lateral strain vibrates at the frequency of sqrt((K + 2 mu) / rho), in second order of the cell."""
+    """A held bar without lateral strain vibrates at the frequency of sqrt((K + 2 mu) / rho), in
+    second order of the cell."""
     length, amplitude = 8 * EDGE, 1e-9
     w = np.pi / (2 * length) * np.sqrt((TISSUE.K + 2 * TISSUE.mu) / TISSUE.density)
     duration, errors, cells = 1.1 * 2 * np.pi / w, [], [4, 8, 16]
@@ -50,7 +52,8 @@ def test_waves_in_a_confined_bar_run_at_the_dilatational_speed():
 
 @pytest.mark.parametrize("kind", ELEMENTS)
 def test_manufactured_motion_converges_in_second_order(kind, distort):
-    """A finite motion with the body force that it needs converges with the square of the cell, on warped cells."""
+    """A finite motion with the body force that it needs converges with the square of the cell, on
+    warped cells."""
     length, w, amplitude = 8 * EDGE, 60.0, np.array([0.08, -0.05, 0.1]) * 8 * EDGE
     duration, errors, cells = 0.6 * np.pi / w, [], [4, 6, 9]
 
@@ -91,7 +94,8 @@ def test_manufactured_motion_converges_in_second_order(kind, distort):
 
 
 def test_energy_error_is_second_order_in_the_step():
-    """The energy of a free nonlinear vibration stays within an error that falls with the square of the step."""
+    """The energy of a free nonlinear vibration stays within an error that falls with the square of
+    the step."""
     mesh, ratios, errors = box((4, 4, 3), EDGE), [0.6, 0.3, 0.15], []
     x, y, z = mesh.points.T / EDGE
     for ratio in ratios:
@@ -111,7 +115,8 @@ def test_energy_error_is_second_order_in_the_step():
 
 
 def test_motion_is_second_order_in_the_step():
-    """A sudden force, and a change of the step on the way, leave the displacement second-order accurate in the step."""
+    """A sudden force, and a change of the step on the way, leave the displacement second-order
+    accurate in the step."""
     mesh, runs = box((3, 3, 2), EDGE), []
     load = np.zeros((3, mesh.n_nodes))
     load[2, ~mesh.fixed & (mesh.points[:, 2] > 1.9 * EDGE)] = -1e-4

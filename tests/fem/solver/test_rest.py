@@ -45,7 +45,8 @@ def test_the_residual_asked_for_decides_the_error(block, block_mesh):
 
 
 def test_with_prony_terms_rest_is_the_relaxed_state(block, block_mesh):
-    """Relaxed stress is g0 times the elastic one, so a quarter of the force at g0 = 1/4 gives the elastic answer."""
+    """Relaxed stress is g0 times the elastic one, so a quarter of the force at g0 = 1/4 gives the
+    elastic answer."""
     relaxed = Material(400.0, 0.42, 1000.0, prony=((0.5, 11.0), (0.25, 330.0)))
     found = equilibrium(block_mesh, relaxed, 0.25 * block["loads"])
     assert np.linalg.norm(found.displacement - block["u"][3]) < 1e-5 * np.linalg.norm(block["u"][3])

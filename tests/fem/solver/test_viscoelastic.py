@@ -1,4 +1,5 @@
-"""Quasi-linear viscoelasticity: stress histories against quadrature, and what a run makes of them."""
+"""Quasi-linear viscoelasticity: stress histories against quadrature, and what a run makes of
+them."""
 
 import dataclasses
 from decimal import Decimal, getcontext
@@ -20,7 +21,8 @@ EDGE = 1e-3  # m
 
 
 def confined_stress(times, stretch, material=TISSUE, kind="full", precision="float64"):
-    """S (n, 3, 3) of one cell stretched along x at `times`, without lateral strain, from its nodal forces."""
+    """S (n, 3, 3) of one cell stretched along x at `times`, without lateral strain, from its nodal
+    forces."""
     mesh = box((1, 1, 1), EDGE)
     force, stress, last = InternalForce(mesh, material, kind, precision), [], times[0]
     for t, a in zip(times, stretch):
@@ -43,7 +45,8 @@ def slope(sizes, errors):
 
 @pytest.mark.parametrize("kind", ELEMENTS)
 def test_stress_step_relaxes_as_prony_series(kind, reference):
-    """After a stretch to 1.2 the stress is S_e G(t), exactly, for steps of a millisecond to minutes."""
+    """After a stretch to 1.2 the stress is S_e G(t), exactly, for steps of a millisecond to
+    minutes."""
     ref = reference("ref3_qlv_one_element")
     stress = confined_stress(ref["t"], np.full(61, ref["stretch"]), kind=kind)
     assert largest(stress[0], ref["S_elastic"]) < 1e-13
@@ -52,7 +55,8 @@ def test_stress_step_relaxes_as_prony_series(kind, reference):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_ramp_and_hold(precision, reference):
-    """A ramp of 1 s in 160 steps, held to 1000 s, follows the quadrature to 1e-6 (to rounding in float32)."""
+    """A ramp of 1 s in 160 steps, held to 1000 s, follows the quadrature to 1e-6 (to rounding in
+    float32)."""
     ref = reference("ref3_qlv_one_element")
     held = ref["ramp_t"] > 1.0001
     times = np.concatenate([np.linspace(0, 1, 161), ref["ramp_t"][held]])
@@ -62,7 +66,8 @@ def test_ramp_and_hold(precision, reference):
 
 
 def test_cyclic_stretch_converges_in_second_order(reference):
-    """A 1 Hz stretch of 5 % converges to the quadrature with the square of the step, to below 1e-6."""
+    """A 1 Hz stretch of 5 % converges to the quadrature with the square of the step, to below
+    1e-6."""
     ref = reference("ref3_qlv_one_element")
     steps, errors = np.array([1, 2, 4, 8, 16]), []
     for n in steps:
@@ -84,7 +89,8 @@ def test_instantaneous_response_is_elastic():
 
 @pytest.mark.parametrize("kind", ELEMENTS)
 def test_relaxed_stress_turns_with_the_tissue(kind):
-    """A rotation after relaxation turns the forces and changes nothing else: the history is of S, not of P."""
+    """A rotation after relaxation turns the forces and changes nothing else: the history is of S,
+    not of P."""
     mesh = box((2, 2, 1), EDGE)
     u = 0.1 * EDGE * np.random.default_rng(0).uniform(-1, 1, (3, mesh.n_nodes))
     c, s = np.cos(1.0), np.sin(1.0)
@@ -115,7 +121,8 @@ def test_history_coefficients_are_exact_for_any_relaxation_time(x):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_slow_terms_are_not_lost_in_small_steps(precision):
-    """2000 steps of 0.1 ms relax a 330 s term as one step of 0.2 s: no rounding away, in float32 either."""
+    """2000 steps of 0.1 ms relax a 330 s term as one step of 0.2 s: no rounding away, in float32
+    either."""
     mesh, u = box((1, 1, 1), EDGE), np.zeros((3, 8))
     u[0] = 0.2 * np.arange(8) % 2 * EDGE
     small = InternalForce(mesh, TISSUE, "reduced", precision)
@@ -142,7 +149,8 @@ def pushed(material, duration, **choices):
 
 
 def test_relaxation_far_faster_than_a_step_leaves_the_soft_tissue():
-    """A term of 1e-6 s acts as an elastic tissue with the moduli times 1 - g, over a whole vibration."""
+    """A term of 1e-6 s acts as an elastic tissue with the moduli times 1 - g, over a whole
+    vibration."""
     fast = dataclasses.replace(TISSUE, prony=((0.5, 1e-6),))
     soft = dataclasses.replace(ELASTIC, mu=200.0)
     step = 0.5 * Solver(box((2, 2, 2), EDGE, "bottom"), ELASTIC).critical_step
@@ -163,7 +171,8 @@ def test_relaxation_far_slower_than_the_run_leaves_the_stiff_tissue():
 
 
 def test_held_force_creeps_by_the_creep_function():
-    """A held small force creeps by D(t) = 12.5 - 3.2365 exp(-t/50.68) - 8.2635 exp(-t/895.3): 1.35 times in 5 s."""
+    """A held small force creeps by D(t) = 12.5 - 3.2365 exp(-t/50.68) - 8.2635 exp(-t/895.3): 1.35
+    times in 5 s."""
     slow_motion = {"mass_scaling": 100.0, "damping": 40.0}
     elastic, _ = pushed(ELASTIC, 1.0, **slow_motion)
     for t, creep in ((1.0, 1.07), (5.0, 1.35)):
@@ -175,7 +184,8 @@ def test_held_force_creeps_by_the_creep_function():
 
 
 def test_standing_still_is_second_order(monkeypatch):
-    """Holding the viscous stress for 8 and 16 steps costs an error that grows with the square of that time."""
+    """Holding the viscous stress for 8 and 16 steps costs an error that grows with the square of
+    that time."""
     material, mesh = (
         dataclasses.replace(TISSUE, prony=((0.6, 0.01),)),
         box((2, 2, 2), EDGE, "bottom"),
@@ -196,7 +206,8 @@ def test_standing_still_is_second_order(monkeypatch):
 
 @pytest.mark.parametrize("tau", [1e-6, 1e-4, 1e-3, 1e-2, 1.0])
 def test_relaxation_only_damps(tau):
-    """At 0.98 of the critical step Prony terms of any relaxation time take energy from a random motion and add none."""
+    """At 0.98 of the critical step Prony terms of any relaxation time take energy from a random
+    motion and add none."""
     solver = Solver(box((4, 4, 3), EDGE), dataclasses.replace(TISSUE, prony=((0.9, tau),)))
     solver.v[:] = np.where(
         solver.mesh.fixed, 0, np.random.default_rng(0).normal(scale=1e-9, size=solver.v.shape)

@@ -1,4 +1,5 @@
-"""Pruned networks: zeros where they were asked for, and thin networks that compute what their parents did."""
+"""Pruned networks: zeros where they were asked for, and thin networks that compute what their
+parents did."""
 
 import keras
 import numpy as np

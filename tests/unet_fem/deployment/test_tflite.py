@@ -21,7 +21,8 @@ def forces(*shape, seed=0):
 
 
 def build(name, grid=SMALL):
-    """A small network with random biases, scales and mask, and its force windows for a batch of eight."""
+    """A small network with random biases, scales and mask, and its force windows for a batch of
+    eight."""
     keras.utils.set_random_seed(0)
     mask = np.random.default_rng(1).random(grid) > 0.4
     scaled = {"force_scale": 0.5, "displacement_scale": 0.3, "mask": mask}

@@ -1,4 +1,5 @@
-"""The networks: the paper's sizes, where they look, and that they compute the same wherever they run."""
+"""The networks: the paper's sizes, where they look, and that they compute the same wherever they
+run."""
 
 import keras
 import numpy as np
@@ -22,7 +23,8 @@ def small_mask(grid=SMALL, seed=1):
 
 
 def build(name, grid=SMALL, **options):
-    """A network with random biases, so that what padding adds shows, and its forces for a batch of two."""
+    """A network with random biases, so that what padding adds shows, and its forces for a batch of
+    two."""
     keras.utils.set_random_seed(0)
     if name == "unet":
         model, x = unet(grid, 4, **options), forces(2, *grid, 3)
@@ -124,7 +126,8 @@ def layer_output(model, x, name):
 
 
 def test_pooling_is_anchored_at_the_loaded_surface():
-    """Of 8 layers the top six are pooled. The convolution reaches one layer further: only the deepest is unseen."""
+    """Of 8 layers the top six are pooled. The convolution reaches one layer further: only the
+    deepest is unseen."""
     model, x = build("cnn_lstm", (17, 17, 8))
     rest = layer_output(model, x, "pool")
     changed = []
@@ -150,7 +153,8 @@ def test_upsampled_block_is_anchored_at_the_loaded_surface():
 
 
 def test_unet_pools_odd_depth_from_the_loaded_surface():
-    """Of 5 layers the top two are pooled together; two convolutions bring in the two below them, not the deepest."""
+    """Of 5 layers the top two are pooled together; two convolutions bring in the two below them,
+    not the deepest."""
     model, x = build("unet")
     top = layer_output(model, x, "pool")[:, :, :, -1]
     for k in range(5):
@@ -194,7 +198,8 @@ def test_mixed_precision_ends_in_float32_and_has_a_float32_twin(name, bfloat16):
 
 
 def linear_problem(samples, steps=None, noise=0.0):
-    """Samples of a known linear map from four loaded nodes to the free nodes of a 5 x 4 x 3 grid."""
+    """Samples of a known linear map from four loaded nodes to the free nodes of a 5 x 4 x 3
+    grid."""
     mask = small_mask((5, 4, 3))
     window = () if steps is None else (steps,)
     force = np.zeros((samples, *window, 5, 4, 3, 3), "float32")

@@ -1,4 +1,5 @@
-"""The small install of the runtime, in a virtual environment of its own that has never seen TensorFlow."""
+"""The small install of the runtime, in a virtual environment of its own that has never seen
+TensorFlow."""
 
 import shutil
 import subprocess

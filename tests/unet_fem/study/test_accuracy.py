@@ -1,4 +1,5 @@
-"""Errors of the competitors, their intervals, the regressions and the paper's figures, on 4 x 4 x 2 cells and made-up numbers."""
+"""Errors of the competitors, their intervals, the regressions and the paper's figures, on 4 x 4 x 2
+cells and made-up numbers."""
 
 import json
 from types import SimpleNamespace
@@ -21,7 +22,8 @@ MASK[1:, :, 1] = True
 
 
 def made_up(count, seed, quadratic=0.0, largest=1.0, frames=2):
-    """Samples on a 3 x 3 x 2 grid: an answer of rank 4 to the last two forces and to their squares."""
+    """Samples on a 3 x 3 x 2 grid: an answer of rank 4 to the last two forces and to their
+    squares."""
     fixed, rng = np.random.default_rng(7), np.random.default_rng(seed)
     force = np.zeros((count, frames, *MASK.shape, 3), "float32")
     force[:, :, 1, 1:, 1] = rng.uniform(-largest, largest, (count, frames, 2, 3))
@@ -188,7 +190,8 @@ def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(tiny_dataset):
 
 
 def made_up_accuracy(numbers=12):
-    """Results of the accuracy stage for one arm without and one with, where the second is 10 % better."""
+    """Results of the accuracy stage for one arm without and one with, where the second is 10 %
+    better."""
     rng = np.random.default_rng(3)
     truth, error = rng.uniform(1, 9, numbers), rng.uniform(0.01, 0.03, (2, numbers))
     model = {"violation": [0.01] * numbers, "violation_mean": 0.005, "gate_open": 0.25}

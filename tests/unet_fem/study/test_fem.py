@@ -25,7 +25,8 @@ def small_study(folder, data, **fem):
 
 
 class DataOf(NamedTuple):
-    """A study's `network`, of which only the dataset is asked here; it crosses to the worker processes."""
+    """A study's `network`, of which only the dataset is asked here; it crosses to the worker
+    processes."""
 
     data: str
 

@@ -1,4 +1,5 @@
-"""The stability map: multiplied forces, runs that stop, and a table that says where a competitor holds."""
+"""The stability map: multiplied forces, runs that stop, and a table that says where a competitor
+holds."""
 
 import json
 import tempfile
@@ -86,7 +87,8 @@ def test_frames_end_where_a_run_stops_or_is_not_finite():
 
 @pytest.fixture
 def judged(dataset, monkeypatch):
-    """The result of `run` on two interactions and two factors with known answers; at factor 2 the truth of the second ends early."""
+    """The result of `run` on two interactions and two factors with known answers; at factor 2 the
+    truth of the second ends early."""
     own = dataset.read("train")  # two interactions within the training range
     study = SimpleNamespace(stability=SimpleNamespace(interactions=(1, 2), factors=(1.0, 2.0)))
 

@@ -1,4 +1,5 @@
-"""The whole study in small: from configurations to the page with its figures, once, and then again from what is there."""
+"""The whole study in small: from configurations to the page with its figures, once, and then again
+from what is there."""
 
 import os
 import re
@@ -94,7 +95,8 @@ def test_the_front_holds_what_no_other_beats():
 
 
 def test_the_fem_at_equal_error_and_in_equal_time():
-    """Data of 60 s and training of 30 s are earned back in 90 frames where each saves 1 s, and never where none is saved."""
+    """Data of 60 s and training of 30 s are earned back in 90 frames where each saves 1 s, and
+    never where none is saved."""
     known = {
         "net: int8": (1.0, 0.2),
         "net: float32": (3.0, 0.1),

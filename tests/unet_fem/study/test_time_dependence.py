@@ -1,4 +1,5 @@
-"""Time dependence: what `judge` calls memory is memory, and the elastic answer is the dataset's tissue without it."""
+"""Time dependence: what `judge` calls memory is memory, and the elastic answer is the dataset's
+tissue without it."""
 
 import json
 import shutil
@@ -27,7 +28,8 @@ from unet_fem.training.samples import windows
 
 @pytest.fixture
 def made_up():
-    """(time, truth, elastic): 3 interactions of 5 frames that creep at different times, the first frame at rest."""
+    """(time, truth, elastic): 3 interactions of 5 frames that creep at different times, the first
+    frame at rest."""
     rng = np.random.default_rng(0)
     elastic = rng.normal(size=(3, 5, 60))
     elastic[:, 0] = 0
@@ -92,7 +94,8 @@ def test_an_error_across_the_time_dependence_is_not_counted_as_it(made_up):
 
 
 def test_errors_of_size_without_order_are_between_the_bounds(made_up):
-    """Sizes wrong by chance lie along the time dependence, yet are no common lack of it: common < along."""
+    """Sizes wrong by chance lie along the time dependence, yet are no common lack of it: common <
+    along."""
     _, truth, elastic = made_up
     signs = np.array([1, -1, 1])[:, None, None]
     found = judged(made_up, truth + 0.3 * signs * (truth - elastic))["overall"]
@@ -163,7 +166,8 @@ def study(tiny, tiny_dataset, tmp_path, monkeypatch):
 
 
 def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
-    """From networks and a scene to plain JSON without NaN and a figure; the elastic answers are simulated once."""
+    """From networks and a scene to plain JSON without NaN and a figure; the elastic answers are
+    simulated once."""
     result = run(study)
     json.dumps(result, allow_nan=False)
     for part in (result["short"], result["long"]):

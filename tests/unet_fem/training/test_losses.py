@@ -23,7 +23,8 @@ CORNERS = list(itertools.product((0, 1), repeat=3))
 
 
 def box(grid=GRID):
-    """Reference positions (N, 3) of a box of cubes away from the origin, its boundary quads, its cells' nodes."""
+    """Reference positions (N, 3) of a box of cubes away from the origin, its boundary quads, its
+    cells' nodes."""
     points = np.stack(np.meshgrid(*map(np.arange, grid), indexing="ij"), axis=-1).reshape(
         -1, 3
     ) * EDGE + [5, -3, 2]
@@ -63,7 +64,8 @@ def stretched(*factors):
 
 
 def gauss_volume(displacement):
-    """Volume of trilinear hexahedra by 2 x 2 x 2 Gauss points, which integrate their Jacobian exactly."""
+    """Volume of trilinear hexahedra by 2 x 2 x 2 Gauss points, which integrate their Jacobian
+    exactly."""
     volume = 0
     x = (POINTS + displacement.reshape(-1, 3))[CELLS]  # (E, 8, 3)
     for point in itertools.product((0.5 - 12**-0.5, 0.5 + 12**-0.5), repeat=3):

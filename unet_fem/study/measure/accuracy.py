@@ -1,6 +1,8 @@
-"""Errors of every competitor that is not the FEM itself, on every test interaction, so that any subset can be judged later.
+"""Errors of every competitor that is not the FEM itself, on every test interaction, so that any
+subset can be judged later.
 
-A competitor has an entry for each form that it is deployed in. Keras' answers stand under "tf.function", the form that is timed.
+A competitor has an entry for each form that it is deployed in. Keras' answers stand under
+"tf.function", the form that is timed.
 """
 
 import json
@@ -24,11 +26,13 @@ GATE = 0.07  # the paper's volume band, for models that were trained without
 
 
 def run(study):
-    """{"models": {name: entry}, "runs": {run: facts}, "numbers": of the test interactions, "hard", "headline": some of them,
-    "force": largest total force of each, mN, "fem_violation": largest change of volume of each in the FEM}.
+    """{"models": {name: entry}, "runs": {run: facts}, "numbers": of the test interactions, "hard",
+    "headline": some of them, "force": largest total force of each, mN, "fem_violation": largest
+    change of volume of each in the FEM}.
 
-    entry: family, run (None for regressions), form, frames of the window, what `judged` says, and headline {test, hard}: relative
-    L2 against the reference. facts: family, frames and what `run_facts` says. Runs that are not trained yet are left out.
+    entry: family, run (None for regressions), form, frames of the window, what `judged` says, and
+    headline {test, hard}: relative L2 against the reference. facts: family, frames and what
+    `run_facts` says. Runs that are not trained yet are left out.
     """
     dataset = study_dataset(study)
     truth = references(study, dataset)
@@ -93,7 +97,8 @@ def run(study):
 
 
 def trained_runs(study):
-    """Settings of the study's networks that are trained to the end, and of what pruning made of the main two."""
+    """Settings of the study's networks that are trained to the end, and of what pruning made of the
+    main two."""
     names = {network.name: "metrics.json" for network in study.networks}
     names |= {
         name: "pruned"
@@ -152,7 +157,8 @@ def keras_answer(path, samples, dataset):
 
 
 def lite_answer(path, dataset):
-    """The same for the surrogate at `path` on the test split, called frame by frame from rest as at run time."""
+    """The same for the surrogate at `path` on the test split, called frame by frame from rest as at
+    run time."""
     from unet_fem.deployment.answers import answers
 
     return answers(path, dataset.read("test")["force"])
@@ -161,10 +167,13 @@ def lite_answer(path, dataset):
 def judged(answer, dataset, samples, truth, gate=GATE):
     """What is known of `answer` (S, nx, ny, nz, 3) mm on the Samples of the test split.
 
-    test, hard: relative L2 against the dataset, from sums [[error, truth], ...] in mm2 over free nodes and frames of each interaction;
-    reference: [[number, [error, truth]], ...] against `truth` {number: (frames, nx, ny, nz, 3) mm}; depth: see unet_fem.training.figures.by_depth;
-    violation: largest relative change of volume of each interaction; violation_mean over all frames; gate, and gate_open: share of frames
-    with more than that. Raises InputError where the answer is not finite.
+    test, hard: relative L2 against the dataset, from sums [[error, truth], ...] in mm2 over free
+    nodes and frames of each interaction;
+    reference: [[number, [error, truth]], ...] against `truth` {number: (frames, nx, ny, nz, 3) mm};
+    depth: see unet_fem.training.figures.by_depth;
+    violation: largest relative change of volume of each interaction; violation_mean over all
+    frames; gate, and gate_open: share of frames with more than that. Raises InputError where the
+    answer is not finite.
     """
     from unet_fem.training.losses import deformed_volume
 
@@ -203,8 +212,10 @@ def judged(answer, dataset, samples, truth, gate=GATE):
 
 
 def run_facts(settings, dataset):
-    """parameters; train and validation: relative L2; epochs, best_epoch, seconds (None where the history does not tell), seed;
-    threshold of the volume loss, and train_gate_open, validation_gate_open: mean over the epochs of the share of samples beyond it."""
+    """parameters; train and validation: relative L2; epochs, best_epoch, seconds (None where the
+    history does not tell), seed;
+    threshold of the volume loss, and train_gate_open, validation_gate_open: mean over the epochs of
+    the share of samples beyond it."""
     from unet_fem.training.checkpoint import load_model
 
     model = load_model(settings.folder / "best.keras")
@@ -231,7 +242,8 @@ def run_facts(settings, dataset):
 
 
 def drawn_runs(study):
-    """Runs whose answers to the test interactions are kept for the figures of fields: the main two, and the first of every arm."""
+    """Runs whose answers to the test interactions are kept for the figures of fields: the main two,
+    and the first of every arm."""
     return {study.cnn_lstm, study.unet, *(arm.runs[0] for arm in study.physics)}
 
 
@@ -247,7 +259,8 @@ def keep_field(study, name, dataset, answer):
 
 
 def kept_field(study, name, dataset):
-    """(S, nx, ny, nz, 3) float32 mm: the answer of a run of `drawn_runs` or of `regression_name` to the test split."""
+    """(S, nx, ny, nz, 3) float32 mm: the answer of a run of `drawn_runs` or of `regression_name` to
+    the test split."""
     path = _field_path(study, name)
     if not path.is_file():
         raise InputError(f"no {path}; give python tools/report.py --again accuracy")
@@ -267,7 +280,8 @@ def _json_path(study, name):
 
 
 def _once(study, name, dataset, source, truth, make):
-    """The dict that `make()` gives, kept until the file `source`, the dataset or the reference changes."""
+    """The dict that `make()` gives, kept until the file `source`, the dataset or the reference
+    changes."""
     from fem.files import write_text
 
     path = _json_path(study, name)

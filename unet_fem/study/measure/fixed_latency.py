@@ -1,6 +1,8 @@
-"""The FEM at a fixed latency: so many time steps a frame, and the error that they leave, each competitor made as good as it can be.
+"""The FEM at a fixed latency: so many time steps a frame, and the error that they leave, each
+competitor made as good as it can be.
 
-Damping, the rise of the load within a frame and the hourglass stiffness are chosen on validation interactions alone.
+Damping, the rise of the load within a frame and the hourglass stiffness are chosen on validation
+interactions alone.
 """
 
 import hashlib
@@ -33,10 +35,13 @@ TUNED_ON = 2  # validation interactions
 
 
 def run(study):
-    """{"points": [...], "numbers", "tuned_on": validation numbers, "elements": see `tuned`}; a point is a competitor and its errors.
+    """{"points": [...], "numbers", "tuned_on": validation numbers, "elements": see `tuned`}; a
+    point is a competitor and its errors.
 
-    A point has its settings (see frame_loop.Competitor), cells, mass_scaling, damping_rate in 1/s; test and hard: relative L2 over the interactions
-    that it ended, against the reference; sums: {"number": [error, truth] mm2} of these; stopped: [{"number", "reason", "time" s}] of the others.
+    A point has its settings (see frame_loop.Competitor), cells, mass_scaling, damping_rate in 1/s;
+    test and hard: relative L2 over the interactions that it ended, against the reference; sums:
+    {"number": [error, truth] mm2} of these; stopped: [{"number", "reason", "time" s}] of the
+    others.
     """
     dataset = study_dataset(study)
     numbers = list(references(study, dataset))
@@ -63,10 +68,11 @@ def run(study):
 
 
 def frame_actions(study, dataset):
-    """{name: action} of every tuned competitor for fem.measure.timing.alternate: an action answers one frame, force array in, displacement array out.
+    """{name: action} of every tuned competitor for fem.measure.timing.alternate: an action answers
+    one frame, force array in, displacement array out.
 
-    The frames are those of the first interaction of study.fem, forwards and back again, so that no force jumps. A competitor that stops
-    there has no action.
+    The frames are those of the first interaction of study.fem, forwards and back again, so that no
+    force jumps. A competitor that stops there has no action.
     """
     number, actions = study.fem.interactions[0], {}
     forces = {frame: frame_forces(dataset, "test", number, frame) for frame in study.fem.frames}
@@ -86,7 +92,8 @@ def player(loop, forces):
         force = next(frames)
         if (
             force is None
-        ):  # or the tissue would creep on from round to round, farther than any interaction takes it
+            # or the tissue would creep on from round to round, farther than any interaction takes it
+        ):
             loop.solver.force.forget()
             force = next(frames)
         loop(force)
@@ -95,7 +102,8 @@ def player(loop, forces):
 
 
 def frame_forces(dataset, split, number, frame):
-    """(frames, nx, ny, nz, 3) float32 mN: the forces of an interaction every `frame` seconds, the first at `frame`; on the grid.
+    """(frames, nx, ny, nz, 3) float32 mN: the forces of an interaction every `frame` seconds, the
+    first at `frame`; on the grid.
 
     Raises InputError if the dataset's frames do not lie among them.
     """
@@ -118,9 +126,11 @@ def frames_between(scene, frame):
 
 
 def judge(study, dataset, competitor, split, number):
-    """Simulate one interaction in frames: {"sums": [error, truth] mm2} against the reference, or {"stopped": reason, "time": s}.
+    """Simulate one interaction in frames: {"sums": [error, truth] mm2} against the reference, or
+    {"stopped": reason, "time": s}.
 
-    With it come "mass_scaling", "damping_rate" and "cells". Kept in a file under the study's folder.
+    With it come "mass_scaling", "damping_rate" and "cells". Kept in a file under the study's
+    folder.
     """
     made_from = repr(
         (dataset.scene.digest(), study.fem.reference_safety, competitor, split, number)
@@ -158,7 +168,8 @@ def judge(study, dataset, competitor, split, number):
 
 
 def tuned(study, dataset):
-    """([Competitor], {element: {hourglass stiffness: relative L2 on validation, None if one stopped}}): every element, frame and number of steps."""
+    """([Competitor], {element: {hourglass stiffness: relative L2 on validation, None if one
+    stopped}}): every element, frame and number of steps."""
     _tuned_on(study, dataset)
     elements, errors = _elements(study, dataset)
     chains = on_all_cores(
@@ -170,7 +181,8 @@ def tuned(study, dataset):
 
 
 def _elements(study, dataset):
-    """([Competitor], errors): the full and reduced element, and the better of both on the coarse mesh, by their error where steps are plenty."""
+    """([Competitor], errors): the full and reduced element, and the better of both on the coarse
+    mesh, by their error where steps are plenty."""
     plenty = {
         "frame": max(study.fem.frames),
         "steps": max(study.fem.steps),
@@ -209,14 +221,17 @@ def _elements(study, dataset):
 
 
 def _chain(study, dataset, element, frame):
-    """Competitors of one element and frame, from few steps to the first number that needs hardly any mass scaling: more of them would only cost."""
+    """Competitors of one element and frame, from few steps to the first number that needs hardly
+    any mass scaling: more of them would only cost."""
     found, start = [], replace(element, frame=frame, damping=0.1, rise=0.5)
     longest = longest_step(dataset, element)
     for steps in sorted(study.fem.steps):
         start = replace(start, steps=steps)
         if (
             frame / steps <= 1.1 * longest
-        ):  # what damps the steps before damps these: with the true mass the answer hardly depends on it
+            # what damps the steps before damps these: with the true mass the answer hardly depends on
+            # it
+        ):
             return [*found, start]
         start = _walk(study, dataset, start)
         found.append(start)
@@ -224,7 +239,8 @@ def _chain(study, dataset, element, frame):
 
 
 def _walk(study, dataset, best):
-    """`best` with the damping and the rise that err least, by steps to the neighbouring value of either while that helps."""
+    """`best` with the damping and the rise that err least, by steps to the neighbouring value of
+    either while that helps."""
     least, moved = _score(study, dataset, best), True
     while moved:
         moved = False
@@ -250,7 +266,8 @@ def _score(study, dataset, competitor):
 
 
 def _tuned_on(study, dataset):
-    """Numbers of the first validation interactions that have a reference; it is made where it is missing."""
+    """Numbers of the first validation interactions that have a reference; it is made where it is
+    missing."""
     numbers = list(
         references(
             study,

@@ -1,7 +1,9 @@
-"""Stability beside accuracy: under which multiple of the usual forces, and until when, does each competitor stay close to the FEM?
+"""Stability beside accuracy: under which multiple of the usual forces, and until when, does each
+competitor stay close to the FEM?
 
-The contacts of test interactions push with their forces times each factor. The dataset's own solver gives the truth, as far as it
-goes; a competitor holds where its relative L2 error is within TOLERANCE and its volume within the paper's band.
+The contacts of test interactions push with their forces times each factor. The dataset's own solver
+gives the truth, as far as it goes; a competitor holds where its relative L2 error is within
+TOLERANCE and its volume within the paper's band.
 """
 
 import hashlib
@@ -26,11 +28,14 @@ TOLERANCE = 0.10  # relative L2
 def run(study):
     """How far every competitor is from the truth, over force factor and time.
 
-    Returns {"factors", "time": s, "interactions": numbers, "tolerance", "band", "alive": interactions that the truth reaches this
-    frame in, "flag": share of all interactions whose force leaves the training range, "stops": [{"what", "number", "factor",
-    "after": s, "reason"}], "competitors": {name: {"relative_l2", "volume", "stopped"}}}. Tables are lists [factors][frames] over
-    the interactions that are alive: relative_l2, None where none moves or where a run of the competitor has stopped; volume, the
-    largest |V / V_rest - 1| (also of "truth"), None where none is alive; stopped, runs of the competitor that have.
+    Returns {"factors", "time": s, "interactions": numbers, "tolerance", "band", "alive":
+    interactions that the truth reaches this frame in, "flag": share of all interactions whose force
+    leaves the training range, "stops": [{"what", "number", "factor", "after": s, "reason"}],
+    "competitors": {name: {"relative_l2", "volume", "stopped"}}}. Tables are lists [factors][frames]
+    over
+    the interactions that are alive: relative_l2, None where none moves or where a run of the
+    competitor has stopped; volume, the largest |V / V_rest - 1| (also of "truth"), None where none
+    is alive; stopped, runs of the competitor that have.
     """
     from unet_fem.runtime.surrogate import VOLUME_BAND, force_size
     from unet_fem.training.losses import deformed_volume
@@ -105,7 +110,8 @@ def run(study):
 
 
 def real_time(study, dataset):
-    """The Competitor that stands for the FEM in real time: of the tuned loops of full elements at the shortest frame, that of fewest steps."""
+    """The Competitor that stands for the FEM in real time: of the tuned loops of full elements at
+    the shortest frame, that of fewest steps."""
     found = [
         c
         for c in tuned(study, dataset)[0]
@@ -119,10 +125,12 @@ def table(values, known):
 
 
 def simulated(study, dataset, loop):
-    """The FEM's answers: an iterator of ((number, factor), (force, {name: field}, {name: why it stopped, or ""})).
+    """The FEM's answers: an iterator of ((number, factor), (force, {name: field}, {name: why it
+    stopped, or ""})).
 
-    force and fields (frames, nx, ny, nz, 3) in mN and mm; a field ends before the frame that its run did not reach. loop: the
-    Competitor that is the FEM in real time. Computed in parallel where they are missing, and kept in the study's folder.
+    force and fields (frames, nx, ny, nz, 3) in mN and mm; a field ends before the frame that its
+    run did not reach. loop: the Competitor that is the FEM in real time. Computed in parallel where
+    they are missing, and kept in the study's folder.
     """
     which = [
         (number, factor)
@@ -165,7 +173,8 @@ def force_of(dataset, number):
 
 
 def simulate_offline(dataset, number, factor, path):
-    """Write test interaction `number` at `factor` times its forces to `path`, by the dataset's solver under its rules of health.
+    """Write test interaction `number` at `factor` times its forces to `path`, by the dataset's
+    solver under its rules of health.
 
     The answers: "truth", and "elastic FEM", the same without Prony terms.
     """
@@ -197,7 +206,8 @@ def simulate_offline(dataset, number, factor, path):
 
 
 def simulate_loop(dataset, number, factor, competitor, path):
-    """Write the same by the FEM in real time, which takes its few steps for the force that comes every frame of its own."""
+    """Write the same by the FEM in real time, which takes its few steps for the force that comes
+    every frame of its own."""
     loop, forces = (
         FrameLoop(dataset, competitor),
         factor * frame_forces(dataset, "test", number, competitor.frame),
@@ -223,7 +233,8 @@ def save_frames(path, steps, dataset):
 
 
 def frames(step, shape):
-    """(fields (frames reached, nx, ny, nz, 3), reason or ""): step(frame) from rest, until it stops or gives no finite field.
+    """(fields (frames reached, nx, ny, nz, 3), reason or ""): step(frame) from rest, until it stops
+    or gives no finite field.
 
     shape: of all frames.
     """
@@ -240,7 +251,8 @@ def frames(step, shape):
 
 
 def network_functions(study, dataset):
-    """{name: force (frames, nx, ny, nz, 3) mN -> displacement of the same shape, mm}: the deployed networks and linear regression."""
+    """{name: force (frames, nx, ny, nz, 3) mN -> displacement of the same shape, mm}: the deployed
+    networks and linear regression."""
     from unet_fem.deployment.answers import answers as lite_answers
     from unet_fem.training.checkpoint import load_model
     from unet_fem.training.samples import windows

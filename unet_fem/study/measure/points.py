@@ -1,4 +1,5 @@
-"""Error against run time: the points of every competitor, which of them no other beats, and what they cost."""
+"""Error against run time: the points of every competitor, which of them no other beats, and what
+they cost."""
 
 import numpy as np
 
@@ -6,10 +7,12 @@ from unet_fem.training import figures  # noqa: F401, its style
 
 
 def points(results, frame):
-    """[{"name", "family", "seconds", "test", "hard"}] of every competitor that was timed and judged, for frames of `frame` s.
+    """[{"name", "family", "seconds", "test", "hard"}] of every competitor that was timed and
+    judged, for frames of `frame` s.
 
-    Errors are relative L2 against the converged reference on the interactions of the headline. A network or a regression
-    answers a frame of any length in the same time; the FEM's steps a frame make it a competitor of its own for each length.
+    Errors are relative L2 against the converged reference on the interactions of the headline. A
+    network or a regression answers a frame of any length in the same time; the FEM's steps a frame
+    make it a competitor of its own for each length.
     """
     seconds = results["run_time"]["seconds"]
     models = results["accuracy"]["models"]
@@ -43,7 +46,8 @@ def points(results, frame):
 
 
 def pareto(points, split):
-    """The points that no other beats in both error and time, from the fastest to the most accurate."""
+    """The points that no other beats in both error and time, from the fastest to the most
+    accurate."""
     front, best = [], np.inf
     for point in sorted(points, key=lambda p: (p["seconds"], p[split])):
         if point[split] < best:
@@ -53,13 +57,16 @@ def pareto(points, split):
 
 
 def against_fem(study, results):
-    """What the FEM does with the same error and in the same time as a learned competitor, and when that one's cost is earned back.
+    """What the FEM does with the same error and in the same time as a learned competitor, and when
+    that one's cost is earned back.
 
-    Returns [{"frame": s, "own", "equal", "timely": see below, "training_s", "hours"}] for each length of frame. own is a point, see `points`:
-    of each main run the form that is fastest, of the regressions the fastest and the most accurate. equal: the fastest FEM that errs no
-    more than own on the test interactions; timely: the most accurate FEM that takes no longer; None where there is none. training_s: None
-    for a regression and where it is not recorded. hours of simulated time after which own has saved, against equal, what data
-    and training took; None where it saves nothing.
+    Returns [{"frame": s, "own", "equal", "timely": see below, "training_s", "hours"}] for each
+    length of frame. own is a point, see `points`: of each main run the form that is fastest, of the
+    regressions the fastest and the most accurate. equal: the fastest FEM that errs no more than own
+    on the test interactions; timely: the most accurate FEM that takes no longer; None where there
+    is none. training_s: None for a regression and where it is not recorded. hours of simulated time
+    after which own has saved, against equal, what data and training took; None where it saves
+    nothing.
     """
     timed = results["run_time"]
     data = timed["data_frames"] * timed["data_frame_s"]

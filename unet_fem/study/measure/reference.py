@@ -1,7 +1,9 @@
-"""The converged answer that every competitor is judged by, and how far that answer itself can be trusted.
+"""The converged answer that every competitor is judged by, and how far that answer itself can be
+trusted.
 
-It is the FEM on the dataset's own mesh with all that a dataset saves on taken away: float64, the true mass, a step below the
-critical one. The dataset's frames are the FEM's at mass scaling and in float32; the distance between both is one of the results.
+It is the FEM on the dataset's own mesh with all that a dataset saves on taken away: float64, the
+true mass, a step below the critical one. The dataset's frames are the FEM's at mass scaling and in
+float32; the distance between both is one of the results.
 """
 
 from dataclasses import replace
@@ -19,10 +21,12 @@ from fem.workers import on_all_cores
 
 
 def references(study, dataset, split="test", numbers=None):
-    """{number: displacement (frames, nx, ny, nz, 3) float32 mm} of interactions of `split`, on the grid at the dataset's frames.
+    """{number: displacement (frames, nx, ny, nz, 3) float32 mm} of interactions of `split`, on the
+    grid at the dataset's frames.
 
-    numbers: of the interactions; for None those of study.fem and the hard ones. Computed in parallel where they are missing. One in
-    which the solver stops (a cell turned inside out under the hardest push, which lighter settings may not see) has no reference.
+    numbers: of the interactions; for None those of study.fem and the hard ones. Computed in
+    parallel where they are missing. One in which the solver stops (a cell turned inside out under
+    the hardest push, which lighter settings may not see) has no reference.
     """
     numbers = judged(study, dataset) if numbers is None else sorted(numbers)
     found = _variant(
@@ -39,7 +43,8 @@ def references(study, dataset, split="test", numbers=None):
 
 
 def judged(study, dataset):
-    """Numbers of the test interactions that competitors are judged on: those of study.fem and the hard ones."""
+    """Numbers of the test interactions that competitors are judged on: those of study.fem and the
+    hard ones."""
     have = set(dataset.number[dataset.split == "test"].tolist())
     for number in study.fem.interactions:
         if number not in have:
@@ -52,7 +57,8 @@ def hard_numbers(dataset):
 
 
 def converged(scene, safety):
-    """The solver's settings for a converged answer on the scene's mesh: the scene's damping, full integration."""
+    """The solver's settings for a converged answer on the scene's mesh: the scene's damping, full
+    integration."""
     element = "full" if scene.solver.element == "reduced" else scene.solver.element
     return SolverChoice(
         element=element, precision="float64", damping=scene.solver.damping, safety=safety
@@ -60,7 +66,8 @@ def converged(scene, safety):
 
 
 def sums_of_squares(displacement, truth, dataset):
-    """[error, truth]: sums over frames and free nodes of squared distances in mm2, fields (frames, nx, ny, nz, 3) mm."""
+    """[error, truth]: sums over frames and free nodes of squared distances in mm2, fields (frames,
+    nx, ny, nz, 3) mm."""
     truth = truth[:, dataset.free].astype(float)
     return [
         float(np.sum(np.square(displacement[:, dataset.free] - truth))),
@@ -69,17 +76,21 @@ def sums_of_squares(displacement, truth, dataset):
 
 
 def relative_l2(sums, numbers):
-    """sqrt(sum error / sum truth) over the interactions `numbers` that `sums` {number: [error, truth]} has; None if it has none."""
+    """sqrt(sum error / sum truth) over the interactions `numbers` that `sums` {number: [error,
+    truth]} has; None if it has none."""
     pairs = np.array([sums[number] for number in numbers if number in sums])
     return float(np.sqrt(pairs[:, 0].sum() / pairs[:, 1].sum())) if len(pairs) else None
 
 
 def run(study):
-    """The dataset's distance to the reference, and the reference's own errors (relative L2 over free nodes and frames).
+    """The dataset's distance to the reference, and the reference's own errors (relative L2 over
+    free nodes and frames).
 
-    stopped: interactions without a reference; half_step: with half the time step; refined: the dataset to the scene's own solver on every cube cut into eight, at the nodes that both meshes
-    have, on interactions that did not stop there. Within it mean_dilatation is that element's distance to itself on the refined mesh,
-    to_refined_mean_dilatation the dataset's distance to it, and refined_mean_dilatation_to_refined what divides both elements there.
+    stopped: interactions without a reference; half_step: with half the time step; refined: the
+    dataset to the scene's own solver on every cube cut into eight, at the nodes that both meshes
+    have, on interactions that did not stop there. Within it mean_dilatation is that element's
+    distance to itself on the refined mesh, to_refined_mean_dilatation the dataset's distance to it,
+    and refined_mean_dilatation_to_refined what divides both elements there.
     """
     dataset = study_dataset(study)
     truth, fem = references(study, dataset), dataset.read("test")
@@ -131,7 +142,8 @@ def study_dataset(study):
 
 
 def _refinement(study, dataset, few, own):
-    """Distances between meshes and elements; every run with the scene's own mass scaling, precision and damping. own: the dataset's fields."""
+    """Distances between meshes and elements; every run with the scene's own mass scaling, precision
+    and damping. own: the dataset's fields."""
     plain, dilatation = (
         dataset.scene.solver,
         replace(dataset.scene.solver, element="mean_dilatation"),
@@ -150,7 +162,8 @@ def _refinement(study, dataset, few, own):
 
 
 def _distance(fields, truth, dataset):
-    """{"numbers", "relative_l2"}: of the {number: field} to the truth, over the interactions that did not stop in either."""
+    """{"numbers", "relative_l2"}: of the {number: field} to the truth, over the interactions that
+    did not stop in either."""
     sums = {
         n: sums_of_squares(fields[n], u, dataset)
         for n, u in truth.items()
@@ -169,7 +182,8 @@ def _path(study, dataset, name, split, number):
 
 
 def _variant(study, dataset, name, choice, numbers, split="test", fine=False):
-    """{number: displacement (frames, nx, ny, nz, 3) float32 mm, or None where the solver stopped}, simulated where there is no file yet.
+    """{number: displacement (frames, nx, ny, nz, 3) float32 mm, or None where the solver stopped},
+    simulated where there is no file yet.
 
     choice: SolverChoice; fine: on the refined mesh.
     """
@@ -210,7 +224,8 @@ def _simulate(dataset, choice, fine, split, number, path):
 
 
 def refined(mesh):
-    """A mesh of cubes (tumour or box) with every cube cut into eight; nodes of the old grid are every second of the new one."""
+    """A mesh of cubes (tumour or box) with every cube cut into eight; nodes of the old grid are
+    every second of the new one."""
     keep = np.zeros(np.array(mesh.grid_shape) - 1, bool)
     keep[np.unravel_index(mesh.grid_index[mesh.cells[:, 0]], mesh.grid_shape)] = True
     edge = np.ptp(mesh.points[mesh.cells[0], 0])

@@ -1,7 +1,9 @@
-"""Run time of every competitor in one run on one thread: force array in, displacement array out, for one frame.
+"""Run time of every competitor in one run on one thread: force array in, displacement array out,
+for one frame.
 
-Each turn calls a competitor CALLS times in a row, as its own loop would, so that its weights are in the caches that it
-can have; the turns alternate, so that a disturbance of the machine meets all alike.
+Each turn calls a competitor CALLS times in a row, as its own loop would, so that its weights are in
+the caches that it can have; the turns alternate, so that a disturbance of the machine meets all
+alike.
 """
 
 import numpy as np
@@ -14,9 +16,11 @@ WARM_UP = 3  # turns before the clock runs
 
 
 def run(study):
-    """{"seconds": {competitor: {"p50": ..., "p90": ..., "p99": ..., "worst": ...}}, "data_frame_s", "data_frames", "machine": {...}}.
+    """{"seconds": {competitor: {"p50": ..., "p90": ..., "p99": ..., "worst": ...}}, "data_frame_s",
+    "data_frames", "machine": {...}}.
 
-    data_frame_s: what the dataset's own solver takes for a frame of data on this thread, s; data_frames: frames to learn from.
+    data_frame_s: what the dataset's own solver takes for a frame of data on this thread, s;
+    data_frames: frames to learn from.
     """
     from unet_fem.deployment import latency
 

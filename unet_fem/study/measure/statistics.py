@@ -1,7 +1,9 @@
-"""How sure the errors are: intervals over the test interactions by bootstrap, and the comparison with and without the volume term.
+"""How sure the errors are: intervals over the test interactions by bootstrap, and the comparison
+with and without the volume term.
 
-Frames of one interaction are nearly equal, so whole interactions are drawn. The intervals are of the mean over the seeds that were
-trained; how far the seeds differ is given beside it, since three are too few to draw from.
+Frames of one interaction are nearly equal, so whole interactions are drawn. The intervals are of
+the mean over the seeds that were trained; how far the seeds differ is given beside it, since three
+are too few to draw from.
 """
 
 import numpy as np
@@ -14,13 +16,15 @@ STRONG = 0.25  # share of the test interactions that count as strong, by their l
 
 
 def relative_l2(errors, truth, axis=-1):
-    """Mean over the seeds of sqrt(sum error / sum truth): errors a list of (..., I) mm2, one a seed; truth (..., I) mm2."""
+    """Mean over the seeds of sqrt(sum error / sum truth): errors a list of (..., I) mm2, one a
+    seed; truth (..., I) mm2."""
     total = np.sum(truth, axis=axis)
     return np.mean([np.sqrt(np.sum(error, axis=axis) / total) for error in errors], axis=0)
 
 
 def interval(errors, truth):
-    """{"relative_l2", "low", "high"}: over interactions, with the 95 % interval of drawing them with replacement.
+    """{"relative_l2", "low", "high"}: over interactions, with the 95 % interval of drawing them
+    with replacement.
 
     errors: (seeds, I) mm2, truth: (I,) mm2. low and high are None for fewer than two interactions.
     """
@@ -32,7 +36,8 @@ def interval(errors, truth):
 
 
 def difference(errors, base, truth):
-    """{"difference", "low", "high", "change"}: relative L2 less that of another model with `base` (seeds, I) mm2 on the same interactions.
+    """{"difference", "low", "high", "change"}: relative L2 less that of another model with `base`
+    (seeds, I) mm2 on the same interactions.
 
     change: the difference as a share of the other model's error.
     """
@@ -66,7 +71,8 @@ def _bootstrap(statistic, data, name):
 
 
 def subsets(accuracy):
-    """{"test", "strong", "hard": rows of the test interactions}: all, the quarter with the largest forces, those beyond training."""
+    """{"test", "strong", "hard": rows of the test interactions}: all, the quarter with the largest
+    forces, those beyond training."""
     numbers, force = np.array(accuracy["numbers"]), np.array(accuracy["force"])
     strong = np.sort(np.argsort(-force, kind="stable")[: max(1, round(STRONG * len(force)))])
     return {
@@ -83,7 +89,8 @@ def sums(accuracy, names):
 
 
 def intervals(accuracy, names, base=None):
-    """{"test", "strong", "hard": interval} of the models `names`, seeds of one another; "test_difference", ... to the models `base`."""
+    """{"test", "strong", "hard": interval} of the models `names`, seeds of one another;
+    "test_difference", ... to the models `base`."""
     errors, truth = sums(accuracy, names)
     rows = subsets(accuracy)
     found = {which: interval(errors[:, some], truth[some]) for which, some in rows.items()}
@@ -97,11 +104,14 @@ def intervals(accuracy, names, base=None):
 
 
 def physics(study, accuracy):
-    """[{"label", "runs", "threshold", ...}] for the arms of study.physics whose runs are there; the first is the one to compare with.
+    """[{"label", "runs", "threshold", ...}] for the arms of study.physics whose runs are there; the
+    first is the one to compare with.
 
-    All of `intervals`, differences for all but the first; seeds: {subset: [relative L2 of each run]}; train_gate_open,
-    validation_gate_open, test_gate_open: shares of samples beyond the arm's threshold, in training as a mean over the epochs;
-    violation_mean and violation_max on the test interactions; fem_gate_open: share of the test interactions whose own FEM volume is beyond it.
+    All of `intervals`, differences for all but the first; seeds: {subset: [relative L2 of each
+    run]}; train_gate_open,
+    validation_gate_open, test_gate_open: shares of samples beyond the arm's threshold, in training
+    as a mean over the epochs; violation_mean and violation_max on the test interactions;
+    fem_gate_open: share of the test interactions whose own FEM volume is beyond it.
     """
     found, first = [], None
     for arm in study.physics:

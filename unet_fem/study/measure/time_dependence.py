@@ -1,7 +1,8 @@
 """Time dependence: does a network know more than the elastic, memoryless answer to the same force?
 
-The tissue creeps: under a held force it goes on giving way. An elastic tissue answers the force of the moment alone. What lies
-between the two answers to the same contacts is the time dependence, and a network may have learned all, some or none of it.
+The tissue creeps: under a held force it goes on giving way. An elastic tissue answers the force of
+the moment alone. What lies between the two answers to the same contacts is the time dependence, and
+a network may have learned all, some or none of it.
 """
 
 from dataclasses import replace
@@ -19,12 +20,15 @@ from unet_fem.study.measure.reference import judged
 
 
 def run(study):
-    """{"trained_s": length of the networks' interactions, "factor": ..., "short": ..., "long": ...}.
+    """{"trained_s": length of the networks' interactions, "factor": ..., "short": ..., "long":
+    ...}.
 
-    short: the judged test interactions of the networks' own dataset; long: those of study.long_data. Each as `judge` gives it, with
-    "numbers" of the interactions, "left_out": {number: why the elastic tissue stopped in it} and "window": the difference that the
-    longer window makes, see `difference`. factor: the one number times which the elastic answer
-    comes closest to the short interactions: the best that can be known without memory, but for the answer's shape.
+    short: the judged test interactions of the networks' own dataset; long: those of
+    study.long_data. Each as `judge` gives it, with "numbers" of the interactions, "left_out":
+    {number: why the elastic tissue stopped in it} and "window": the difference that the longer
+    window makes, see `difference`. factor: the one number times which the elastic answer
+    comes closest to the short interactions: the best that can be known without memory, but for the
+    answer's shape.
     """
     from unet_fem.training.run import ensure_dataset
 
@@ -61,9 +65,11 @@ def run(study):
 
 
 def elastic_answers(study, dataset, numbers):
-    """({number: displacement (frames, nx, ny, nz, 3) mm}, {number: why it stopped}) of test interactions without the Prony terms.
+    """({number: displacement (frames, nx, ny, nz, 3) mm}, {number: why it stopped}) of test
+    interactions without the Prony terms.
 
-    Computed in parallel where they are missing, and kept in the study's folder. Raises InputError if all of them stop.
+    Computed in parallel where they are missing, and kept in the study's folder. Raises InputError
+    if all of them stop.
     """
     paths = {
         number: study.folder / "elastic" / f"{dataset.scene.digest()}-test-{number:04d}.npz"
@@ -87,7 +93,8 @@ def elastic_answers(study, dataset, numbers):
 
 
 def elastic_answer(dataset, number, path):
-    """Write the frames of a test interaction to `path`, or why it stopped: the dataset's mesh, contacts and solver, an elastic tissue."""
+    """Write the frames of a test interaction to `path`, or why it stopped: the dataset's mesh,
+    contacts and solver, an elastic tissue."""
     scene, mesh = dataset.scene, dataset.fem_mesh
     elastic = replace(scene, material=replace(scene.material, prony=()))
     try:
@@ -99,9 +106,11 @@ def elastic_answer(dataset, number, path):
 
 
 def network_answers(study, dataset, numbers):
-    """({name: (label, answer)}, truth) for the test interactions `numbers`, each field (interactions, frames, d) mm.
+    """({name: (label, answer)}, truth) for the test interactions `numbers`, each field
+    (interactions, frames, d) mm.
 
-    The answers are those of the deployed networks and of both windows, named by their runs, and of one linear regression a window.
+    The answers are those of the deployed networks and of both windows, named by their runs, and of
+    one linear regression a window.
     """
     from unet_fem.training.checkpoint import load_model
     from unet_fem.training.judge import predict
@@ -135,7 +144,8 @@ def network_answers(study, dataset, numbers):
 
 
 def fields(dataset, displacement):
-    """(interactions, frames, d) of displacement (interactions and frames, nx, ny, nz, 3): the free nodes' components in a row."""
+    """(interactions, frames, d) of displacement (interactions and frames, nx, ny, nz, 3): the free
+    nodes' components in a row."""
     return displacement.reshape(-1, len(dataset.time), *dataset.grid, 3)[
         :, :, dataset.free
     ].reshape(-1, len(dataset.time), 3 * dataset.free.sum())
@@ -149,29 +159,41 @@ def dot(a, b):
 def judge(time, truth, elastic, answers):
     """How far each answer is from the viscoelastic truth, and how much of that is time dependence.
 
-    time (frames,) s; truth, elastic and the fields in answers {name: (label, field)}: (interactions, frames, d) mm. With the
-    error e = u - u_ve of an answer and the time dependence d = u_ve - u_el, all of one interaction at one frame:
+    time (frames,) s; truth, elastic and the fields in answers {name: (label, field)}:
+    (interactions, frames, d) mm. With the error e = u - u_ve of an answer and the time dependence d
+    = u_ve - u_el, all of one interaction at one frame:
 
         relative_l2 = sqrt(sum |e|^2 / sum |u_ve|^2)
-        along       = sum (<e, d>^2 / |d|^2) / sum |e|^2   share of the squared error in the direction of each d. An upper bound
-                                                           of what is time dependence: any wrong size of u lies along d too
-        missed      = -sum <e, d> / sum |d|^2              share of the time dependence that the answer lacks: 1 for the elastic
-                                                           answer, 0 for the truth, below 0 for more creep than there is
-        common      = missed^2 sum |d|^2 / sum |e|^2       share of the squared error that this lack makes up, the same for all
-                                                           in the sum. A lower bound; the rest is at right angles to it
+        along       = sum (<e, d>^2 / |d|^2) / sum |e|^2   share of the squared error in the
+        direction of each d. An upper bound
+                                                           of what is time dependence: any wrong
+                                                           size of u lies along d too
+        missed      = -sum <e, d> / sum |d|^2              share of the time dependence that the
+        answer lacks: 1 for the elastic
+                                                           answer, 0 for the truth, below 0 for more
+                                                           creep than there is
+        common      = missed^2 sum |d|^2 / sum |e|^2       share of the squared error that this lack
+        makes up, the same for all
+                                                           in the sum. A lower bound; the rest is at
+                                                           right angles to it
         creep       = sum <u, u_el> / sum |u_el|^2         size of the answer, in elastic answers
 
-    Sums run over the interactions at each frame, and in "overall" over the frames too. There is also
+    Sums run over the interactions at each frame, and in "overall" over the frames too. There is
+    also
 
-        followed    = slope of <u, u_el> / |u_el|^2 against <u_ve, u_el> / |u_el|^2 over the frames of each interaction, about its
-                      mean, weighed by |u_el|^2: 1 for the truth, 0 for an answer of one size in elastic answers, however long
-                      the force has been held. Answers to the last force alone (the U-Net, one linear regression) know
-                      nothing of that: what they reach by the answer's shape is no memory, and the mark to beat
+        followed    = slope of <u, u_el> / |u_el|^2 against <u_ve, u_el> / |u_el|^2 over the frames
+        of each interaction, about its
+                      mean, weighed by |u_el|^2: 1 for the truth, 0 for an answer of one size in
+                      elastic answers, however long the force has been held. Answers to the last
+                      force alone (the U-Net, one linear regression) know
+                      nothing of that: what they reach by the answer's shape is no memory, and the
+                      mark to beat
 
-    Returns {"time": [s], "interactions": their number, "squared_truth": [of each interaction, mm2], "creep": of the FEM,
-    "time_dependence": sqrt(sum |d|^2 / sum |u_ve|^2), "answers": {name: {"label", "squared_error": [of each interaction],
-    "relative_l2", "along", "missed", "common", "creep": [frames], "overall": {the same as numbers, "followed"}}}};
-    None where nothing moves or nothing is wrong.
+    Returns {"time": [s], "interactions": their number, "squared_truth": [of each interaction, mm2],
+    "creep": of the FEM, "time_dependence": sqrt(sum |d|^2 / sum |u_ve|^2), "answers": {name:
+    {"label", "squared_error": [of each interaction], "relative_l2", "along", "missed", "common",
+    "creep": [frames], "overall": {the same as numbers, "followed"}}}}; None where nothing moves or
+    nothing is wrong.
     """
     d = truth - elastic
     vv, dd, ll, vl = dot(truth, truth), dot(d, d), dot(elastic, elastic), dot(truth, elastic)
@@ -221,7 +243,8 @@ def ratio(a, b, root=False):
 
 
 def slope(vl, ul, ll):
-    """Slope of ul / ll against vl / ll with weights ll, all (interactions, frames), each interaction about its mean; None if no size changes."""
+    """Slope of ul / ll against vl / ll with weights ll, all (interactions, frames), each
+    interaction about its mean; None if no size changes."""
     ll = np.where(ll > 1e-6 * ll.max(), ll, 0)  # before the first touch there is no size
     x, y = (np.divide(part, ll, out=np.zeros_like(ll), where=ll > 0) for part in (vl, ul))
     x -= np.sum(ll * x, axis=1, keepdims=True) / np.maximum(ll.sum(axis=1, keepdims=True), 1e-300)
@@ -230,10 +253,12 @@ def slope(vl, ul, ll):
 
 
 def difference(shorter, longer, truth, seed=0):
-    """Relative L2 error with the longer window minus that with the shorter: {"difference", "low", "high"}, a 95 % interval.
+    """Relative L2 error with the longer window minus that with the shorter: {"difference", "low",
+    "high"}, a 95 % interval.
 
-    shorter, longer: squared errors of each interaction; truth: its squared displacement. The interval is of a bootstrap over
-    interactions, both windows with the same ones (percentiles); None for a single interaction.
+    shorter, longer: squared errors of each interaction; truth: its squared displacement. The
+    interval is of a bootstrap over interactions, both windows with the same ones (percentiles);
+    None for a single interaction.
     """
 
     def statistic(shorter, longer, truth, axis=-1):

@@ -9,7 +9,8 @@ def percent(x, digits=1):
 
 
 def claims(study, results, physics):
-    """[(claim, the paper's figure, found, verdict)] from the stages' results and statistics.physics."""
+    """[(claim, the paper's figure, found, verdict)] from the stages' results and
+    statistics.physics."""
     models, runs, seconds = (
         results["accuracy"]["models"],
         results["accuracy"]["runs"],
@@ -93,7 +94,8 @@ def _by(gain):
 
 
 def _gate(cnn, facts):
-    """Whether the volume term, at the threshold that the CNN-LSTM was trained with, had anything to do."""
+    """Whether the volume term, at the threshold that the CNN-LSTM was trained with, had anything to
+    do."""
     opened = facts["train_gate_open"], cnn["gate_open"]
     found = f"beyond it: {percent(opened[0], 2)} % of the training samples, {percent(opened[1], 2)} % of the test frames; largest change {percent(max(cnn['violation']))} %"
     return (

@@ -1,4 +1,5 @@
-"""Error against run time: the points of every competitor, which of them no other beats, what they cost, and the figure."""
+"""Error against run time: the points of every competitor, which of them no other beats, what they
+cost, and the figure."""
 
 import matplotlib.pyplot as plt
 from matplotlib.ticker import FuncFormatter
@@ -22,7 +23,8 @@ OTHER = ("tab:purple", "X")
 
 
 def draw(study, results):
-    """The headline figure: a column for each length of frame, a row for the test interactions and one for the hard ones."""
+    """The headline figure: a column for each length of frame, a row for the test interactions and
+    one for the hard ones."""
     figure, axes = plt.subplots(
         2,
         len(study.fem.frames),

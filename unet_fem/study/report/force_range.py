@@ -6,8 +6,9 @@ import numpy as np
 def draw(result):
     """A panel for each competitor: colour is the error over time and force factor.
 
-    A black line bounds what is within the tolerance, hatching marks volume out of its band, a dashed line forces beyond the
-    training range. Grey: the truth has stopped in half of the interactions or more; black: the competitor has in one.
+    A black line bounds what is within the tolerance, hatching marks volume out of its band, a
+    dashed line forces beyond the training range. Grey: the truth has stopped in half of the
+    interactions or more; black: the competitor has in one.
     """
     from matplotlib.colors import ListedColormap, LogNorm
     from matplotlib.patches import Patch, Rectangle
@@ -128,7 +129,8 @@ def draw(result):
 
 
 def bounded(axis, x, y, mask, **style):
-    """Draw the boundary of the cells (rows, columns) of a grid with edges x and y where `mask` holds."""
+    """Draw the boundary of the cells (rows, columns) of a grid with edges x and y where `mask`
+    holds."""
     from matplotlib.collections import LineCollection
 
     padded = np.pad(mask, 1)

@@ -28,7 +28,8 @@ CAPTIONS = {
 
 
 def write(study, results, out):
-    """Write <out>/results.md, the figures and the measurements behind both under <out>/results/. Returns the page's path."""
+    """Write <out>/results.md, the figures and the measurements behind both under <out>/results/.
+    Returns the page's path."""
     from fem.files import write_text
 
     folder = out / "results"
@@ -113,7 +114,8 @@ def _head(study, results):
 
 
 def _missing(study, results):
-    """A sentence that names the networks that are not trained yet, where a page is drawn before the end."""
+    """A sentence that names the networks that are not trained yet, where a page is drawn before the
+    end."""
     names = [
         network.name
         for network in study.networks

@@ -1,4 +1,5 @@
-"""The figures of the paper, from what the accuracy stage has found and the few fields that it keeps."""
+"""The figures of the paper, from what the accuracy stage has found and the few fields that it
+keeps."""
 
 import textwrap
 
@@ -24,7 +25,8 @@ MILLISECONDS = 250  # of a frame of the animation
 
 
 def draw(study, results, physics):
-    """{name: figure} from the results of the accuracy stage; physics: what statistics.physics makes of them."""
+    """{name: figure} from the results of the accuracy stage; physics: what statistics.physics makes
+    of them."""
     accuracy = results["accuracy"]
     dataset = study_dataset(study)
     test = load_samples(dataset, "test", None)
@@ -66,7 +68,8 @@ def draw(study, results, physics):
 
 
 def shown_models(study, accuracy):
-    """{label: name in the accuracy stage}: linear regression, the U-Net, the CNN-LSTM, and the first run of every arm of the volume term."""
+    """{label: name in the accuracy stage}: linear regression, the U-Net, the CNN-LSTM, and the
+    first run of every arm of the volume term."""
     names = {
         "linear regression": regression_name(study),
         "U-Net": f"{study.unet}: {KERAS}",
@@ -94,7 +97,8 @@ def hard_interaction(dataset, test):
 
 
 def side_by_side(dataset, test, fields):
-    """FEM and each of `fields` on one section of a hard interaction at its largest displacement, and below each its error."""
+    """FEM and each of `fields` on one section of a hard interaction at its largest displacement,
+    and below each its error."""
     rows, number = hard_interaction(dataset, test)
     own = test.select(rows)
     sample, j = figures.most_displaced(dataset, own)
@@ -136,7 +140,8 @@ def side_by_side(dataset, test, fields):
 
 
 def animate(study, results, path):
-    """Write a GIF of one hard interaction to `path`: FEM, U-Net and CNN-LSTM on a section, their errors and the force below."""
+    """Write a GIF of one hard interaction to `path`: FEM, U-Net and CNN-LSTM on a section, their
+    errors and the force below."""
     dataset = study_dataset(study)
     test = load_samples(dataset, "test", None)
     rows, number = hard_interaction(dataset, test)

@@ -4,7 +4,8 @@ import numpy as np
 
 
 def draw(result):
-    """Error, size and the share of time dependence against time: a row for the short interactions, one for the long."""
+    """Error, size and the share of time dependence against time: a row for the short interactions,
+    one for the long."""
     from unet_fem.training.figures import plt
 
     figure, axes = plt.subplots(2, 3, figsize=(12.5, 7), layout="constrained")

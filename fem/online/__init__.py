@@ -1,0 +1,1 @@
+"""What runs beside a user: steppers and what they share, in NumPy alone."""

@@ -1,0 +1,54 @@
+"""The one protocol of everything that answers forces call by call: networks, regressions, FEM
+loops."""
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from fem.errors import InputError
+
+State = dict[str, np.ndarray]  # what `state` gives: arrays by name, fit for np.savez
+
+
+@runtime_checkable
+class Stepper(Protocol):
+    """A body under forces that change from call to call.
+
+    interval: seconds from one call of `step` to the next, or None where any dt may be given.
+    """
+
+    interval: float | None
+
+    def reset(self) -> None:
+        """Back to rest: no force in the past."""
+
+    def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
+        """Displacement in mm under `force` in mN, dt seconds after the call before.
+
+        force: (N, 3) at the mesh's nodes or (nx, ny, nz, 3) on its node grid; the displacement
+        comes in the same layout. Raises InputError for another shape, values that are not finite,
+        and a dt that the stepper does not take; the state is then as it was.
+        """
+
+    def state(self) -> State:
+        """A copy of all that the next answer depends on besides the next force."""
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave. Raises InputError for the state of another stepper."""
+
+
+def check_interval(interval: float | None, dt: float | None) -> None:
+    """Raises InputError unless a stepper that is called every `interval` seconds may be given
+    `dt`."""
+    if dt is None:
+        if interval is None:
+            raise InputError(
+                "this stepper takes any interval; give dt, the seconds since the call before"
+            )
+        return
+    if not 0 < dt < np.inf:
+        raise InputError(f"dt = {dt} s must be positive and finite")
+    if interval is not None and abs(dt - interval) > 1e-6 * interval:
+        raise InputError(
+            f"dt = {dt:g} s, but this stepper is made for {interval:g} s between calls; leave dt out"
+        )
