@@ -5,15 +5,21 @@ Every check sits in the dataclass's `__post_init__`; here only names and types a
 
 import dataclasses
 import difflib
+import os
 import tomllib
 import types
 import typing
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
 
 from fem.errors import InputError
 
 
-def read_toml(path):
+def read_toml(path: str | Path) -> dict[str, Any]:
     """The TOML file at `path` as nested dicts. Raises InputError if missing or malformed."""
     path = Path(path)
     if not path.is_file():
@@ -26,9 +32,9 @@ def read_toml(path):
         raise InputError(f"{path} is not valid TOML: {error}") from None
 
 
-def parse_overrides(words):
+def parse_overrides(words: Iterable[str]) -> dict[str, Any]:
     """['train.epochs=3', 'name=a'] as nested dicts; values are TOML, bare words are strings."""
-    tree = {}
+    tree: dict[str, Any] = {}
     for word in words:
         key, sign, text = word.partition("=")
         if not sign or not key:
@@ -49,7 +55,7 @@ def parse_overrides(words):
     return tree
 
 
-def merge(base, changes):
+def merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     """`base` with `changes` laid over it, table by table."""
     merged = dict(base)
     for key, value in changes.items():
@@ -60,7 +66,7 @@ def merge(base, changes):
     return merged
 
 
-def build(cls, tree, where=""):
+def build(cls: type, tree: dict[str, Any], where: str = "") -> Any:
     """Dataclass `cls` from nested dicts. Raises InputError naming an unknown, missing or mistyped
     key."""
     if not isinstance(tree, dict):
@@ -71,7 +77,8 @@ def build(cls, tree, where=""):
         if key not in fields:
             near = difflib.get_close_matches(key, fields, n=1, cutoff=0.0)
             raise InputError(
-                f"unknown key '{_join(where, key)}'; the nearest valid one is '{_join(where, near[0])}'"
+                f"unknown key '{_join(where, key)}'; the nearest valid one is"
+                f" '{_join(where, near[0])}'"
             )
     values = {}
     for name, field in fields.items():
@@ -82,68 +89,97 @@ def build(cls, tree, where=""):
     return cls(**values)
 
 
-def to_dict(config):
-    """A dataclass as nested dicts and lists, without the entries that are None (TOML has no
-    null)."""
-    return {key: value for key, value in dataclasses.asdict(config).items() if value is not None}
+def normalised(settings: Any) -> None:
+    """Turn each field of a frozen dataclass into the type that its annotation names.
+
+    Call it first in `__post_init__`: `normalised(self)`. An int becomes a float, a list or an array
+    a tuple, a NumPy scalar a plain value, so that equal settings are equal however they were built.
+    """
+    hints = typing.get_type_hints(type(settings))
+    for field in dataclasses.fields(settings):
+        if field.init:
+            value = _convert(getattr(settings, field.name), hints[field.name], field.name)
+            object.__setattr__(settings, field.name, value)
 
 
-def dump_toml(tree):
-    """Nested dicts of plain values as TOML text (the standard library only reads TOML)."""
-    lines = [
-        f"{key} = {_toml(value)}" for key, value in tree.items() if not isinstance(value, dict)
-    ]
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            body = dump_toml({k: v for k, v in value.items() if v is not None})
-            lines += ["", f"[{key}]", body.rstrip("\n")]
-    return "\n".join(lines).strip("\n") + "\n"
+def to_dict(config: Any) -> dict[str, Any]:
+    """A dataclass as nested dicts and lists of plain values, without the entries that are None
+    (TOML has no null)."""
+    return _plain(config)
 
 
-def _toml(value):
-    if isinstance(value, bool):
-        return "true" if value else "false"
+def dump_toml(tree: dict[str, Any]) -> str:
+    """Nested dicts as TOML text; entries that are None are left out."""
+    return tomli_w.dumps(_plain(tree))
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return f'"{escaped}"'
-    return repr(value)
+        return [_plain(item) for item in value]
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def _join(where, key):
+def _join(where: str, key: str) -> str:
     return f"{where}.{key}" if where else key
 
 
-def _convert(value, hint, where):
+def _convert(value: Any, hint: Any, where: str) -> Any:
+    """`value` as the annotation `hint` wants it; `where` is its name in errors."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if dataclasses.is_dataclass(hint):
-        return build(hint, value, where)
     if origin in (typing.Union, types.UnionType):
-        return _convert(value, next(arg for arg in args if arg is not type(None)), where)
+        return _one_of(value, args, where)
+    if hint is Any or isinstance(hint, type) and isinstance(value, hint) and hint not in _NAMES:
+        return value
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return build(hint, value, where)
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
     if origin is typing.Literal:
         if value not in args:
             raise InputError(f"{where} = {value!r} is not one of {', '.join(map(repr, args))}")
-        return value
+        return args[args.index(value)]
     if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            raise InputError(f"{where} = {value!r} must be a list")
-        inner = [args[0]] * len(value) if args[-1] is Ellipsis else args
-        if len(inner) != len(value):
-            raise InputError(
-                f"{where} = {value!r} must have {len(inner)} entries, not {len(value)}"
-            )
-        return tuple(
-            _convert(item, kind, f"{where}[{i}]")
-            for i, (item, kind) in enumerate(zip(value, inner))
-        )
+        return _tuple(value, args, where)
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+    if hint is str and isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if not isinstance(value, origin or hint) or (isinstance(value, bool) and hint is not bool):
         raise InputError(
             f"{where} = {value!r} must be {_NAMES.get(hint, hint)}, not {type(value).__name__}"
         )
     return value
+
+
+def _one_of(value: Any, hints: tuple, where: str) -> Any:
+    """`value` as the first of the alternatives that takes it; None where it is among them."""
+    if value is None and type(None) in hints:
+        return None
+    *others, last = [hint for hint in hints if hint is not type(None)]
+    for hint in others:
+        try:
+            return _convert(value, hint, where)
+        except InputError:
+            continue
+    return _convert(value, last, where)
+
+
+def _tuple(value: Any, hints: tuple, where: str) -> tuple:
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{where} = {value!r} must be a list")
+    inner = [hints[0]] * len(value) if hints[-1] is Ellipsis else hints
+    if len(inner) != len(value):
+        raise InputError(f"{where} = {value!r} must have {len(inner)} entries, not {len(value)}")
+    return tuple(
+        _convert(item, hint, f"{where}[{i}]")
+        for i, (item, hint) in enumerate(zip(value, inner, strict=True))
+    )
 
 
 _NAMES = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}

@@ -3,7 +3,9 @@ setting."""
 
 import copy
 import tomllib
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -150,11 +152,99 @@ def test_toml_round_trip(tiny):
         "d": [[0.1, 3], []],
         "e": float("inf"),
         "f": {"g": -7, "h": {"i": "j"}},
+        "networks": [{"name": "a", "changes": ["x=1"]}, {"name": "b"}],
+        "notes": "two\nlines\tand a tab",
     }
-    assert tomllib.loads(config.dump_toml({key: tree[key] for key in "abcde"})) == {
-        key: tree[key] for key in "abcde"
+    assert tomllib.loads(config.dump_toml(tree)) == tree
+
+
+def test_values_of_numpy_and_python_are_written_plainly():
+    """NumPy scalars and arrays, tuples and paths are written as TOML's own kinds; None is left
+    out, in nested tables too."""
+    tree = {
+        "mu": np.float64(400.0),
+        "n": np.int32(3),
+        "flag": np.bool_(True),
+        "cells": np.array([4, 4, 2]),
+        "pairs": ((0.1, 0.2),),
+        "file": Path("a") / "b",
+        "none": None,
+        "table": {"none": None, "low": np.float32(0.5), "tables": [{"none": None, "a": 1}]},
     }
-    assert tomllib.loads(config.dump_toml({"f": {"g": -7}})) == {"f": {"g": -7}}
+    assert tomllib.loads(config.dump_toml(tree)) == {
+        "mu": 400.0,
+        "n": 3,
+        "flag": True,
+        "cells": [4, 4, 2],
+        "pairs": [[0.1, 0.2]],
+        "file": str(Path("a/b")),
+        "table": {"low": 0.5, "tables": [{"a": 1}]},
+    }
+
+
+@dataclass(frozen=True)
+class Inner:
+    low: float = 0.0
+
+    def __post_init__(self):
+        config.normalised(self)
+
+
+@dataclass(frozen=True)
+class Outer:
+    rate: float
+    count: int
+    pairs: tuple[tuple[float, float], ...] = ()
+    cells: tuple[int, int, int] | None = None
+    kind: Literal["a", "b"] = "a"
+    flag: bool = False
+    file: str = ""
+    inner: Inner = field(default_factory=Inner)
+    lines: str | tuple[str, ...] = ()
+
+    def __post_init__(self):
+        config.normalised(self)
+
+
+def test_equal_settings_are_equal_however_they_were_built():
+    """Ints for floats, lists and arrays for tuples, NumPy's scalars and tables for plain ones: the
+    same settings, hash, repr and text."""
+    plain = Outer(1.0, 2, ((0.0, 1.0),), (1, 2, 3), "b", True, "a/b", Inner(2.0), ("one", "two"))
+    loose = Outer(
+        np.float64(1),
+        np.int64(2),
+        [[0, np.float32(1)]],
+        np.array([1, 2, 3]),
+        np.str_("b"),
+        np.bool_(True),
+        Path("a/b"),
+        {"low": 2},
+        ["one", "two"],
+    )
+    assert loose == plain and hash(loose) == hash(plain) and repr(loose) == repr(plain)
+    text = config.dump_toml(config.to_dict(loose))
+    assert text == config.dump_toml(config.to_dict(plain))
+    assert config.build(Outer, tomllib.loads(text)) == plain
+    assert type(loose.rate) is float and type(loose.count) is int and type(loose.flag) is bool
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"rate": "1"}, "rate = '1' must be a number, not str"),
+        ({"count": 2.0}, "count = 2.0 must be a whole number, not float"),
+        ({"count": np.array([2])}, "count = [2] must be a whole number, not list"),
+        ({"flag": 1}, "flag = 1 must be true or false, not int"),
+        ({"cells": (1, 2)}, "cells = (1, 2) must have 3 entries, not 2"),
+        ({"kind": "c"}, "kind = 'c' is not one of 'a', 'b'"),
+        ({"rate": None}, "rate = None must be a number"),
+    ],
+)
+def test_settings_built_in_python_are_refused_like_those_of_a_file(change, message):
+    """A wrong type given in Python is the InputError that a file would get."""
+    with pytest.raises(InputError) as error:
+        Outer(**({"rate": 1.0, "count": 2} | change))
+    assert message in str(error.value)
 
 
 def test_overrides():
