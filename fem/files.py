@@ -1,30 +1,51 @@
-"""Files that are written whole or not at all, and the lock of a folder that one process at a time
-may fill."""
+"""Files that are written whole or not at all."""
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from fem.errors import InputError
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A path beside `path` to write to; it takes the place of `path` at the end, or goes if the
-    block fails."""
+    block fails.
+
+    Raises InputError where the file cannot be written; other exceptions of the block pass through.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(
-        f".{os.getpid()}.partial-{path.name}"
-    )  # keeps the suffix, which some writers go by
+    make_folder(path.parent)
+    if os.path.isdir(path):
+        raise InputError(f"{path} is a folder; give the path of a file")
+    # the suffix stays last, some writers go by it
+    partial = path.with_name(f".{os.getpid()}.partial-{path.name}")
     try:
         yield partial
-        with open(partial, "rb") as done:
+        with open(partial, "r+b") as done:
             os.fsync(done.fileno())
         os.replace(partial, path)
+    except OSError as error:
+        # a write to an open file fails without a name; an error about another file, or without a
+        # number, is the caller's own
+        if error.errno is None or error.filename not in (None, str(partial), partial):
+            raise
+        raise InputError(_unwritable(path, error)) from error
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # mostly it is not there any more
+            partial.unlink()
+
+
+def make_folder(path: str | Path) -> None:
+    """Make the folder `path` where there is none. Raises InputError where that cannot be."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(_unwritable(path, error)) from None
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -39,7 +60,11 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         partial.write_bytes(data)
 
 
-def save_arrays(path: str | Path, **arrays: object) -> None:
+def save_arrays(path: str | Path, **arrays: Any) -> None:
     """np.savez to `path`."""
     with replacing(path) as partial, open(partial, "wb") as file:
         np.savez(file, **arrays)
+
+
+def _unwritable(path: str | Path, error: OSError) -> str:
+    return f"{path} cannot be written: {error.strerror}; make room there or give another path"
