@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from fem import settings as config
+from fem.cache import digest
 from fem.contact.draw import ContactRange
 from fem.errors import InputError
 from fem.material.neo_hooke import Material
@@ -205,13 +206,16 @@ class Scene:
     health: Health = field(default_factory=Health)
 
     def toml(self):
-        tree = config.to_dict(self)
-        del tree["mesh"]["folder"]  # where the scene lies is no part of it
-        return config.dump_toml(tree)
+        return config.dump_toml(self._tree())
 
     def digest(self):
         """Eight hexadecimal digits that change with every setting."""
-        return hashlib.sha256(self.toml().encode()).hexdigest()[:8]
+        return digest(self._tree())[:8]
+
+    def _tree(self):
+        tree = config.to_dict(self)
+        del tree["mesh"]["folder"]  # where the scene lies is no part of it
+        return tree
 
     def build_solver(self, hex_mesh):
         return Solver(hex_mesh, self.material, **config.to_dict(self.solver))
