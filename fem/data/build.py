@@ -2,84 +2,96 @@
 dataset."""
 
 import json
-import multiprocessing
-import os
+import re
 import shutil
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
+from fem.cache import digest
 from fem.data.interaction import healthy_interaction
+from fem.data.scene import Scene
 from fem.data.write import write_dataset
 from fem.errors import InputError
-from fem.files import save_arrays
-from fem.workers import start_worker
+from fem.files import make_folder, save_arrays
+from fem.locks import lock
+from fem.mesh.hexmesh import HexMesh
+from fem.workers import on_all_cores
+
+SIMULATION_VERSION = 1  # raise it when the same scene gives other interactions than before
 
 
-def generate(scene, path, workers=None):
+def generate(
+    scene: Scene, path: str | Path, workers: int | None = None, executor: Executor | None = None
+) -> dict[str, int]:
     """Write the dataset of `scene` to `path` and return {reason: count} of the draws that were
     rejected.
 
-    The result depends on the scene alone, not on the number of worker processes or on
-    interruptions.
+    The result depends on the scene alone, not on the number of worker processes, on the `executor`
+    (see fem.workers) or on interruptions: finished interactions wait in a folder beside `path`.
+    Raises InputError where another process writes to `path`, or no draw is fit.
     """
     path, mesh = Path(path), scene.mesh.build()
-    (
-        scene.build_solver(mesh),
-        scene.mesh.embed(mesh),
-    )  # a scene that cannot start fails here, not in a worker
-    workers = workers or len(os.sched_getaffinity(0))
-    parts = path.with_name(f".{path.name}.{scene.digest()}.parts")
-    parts.mkdir(parents=True, exist_ok=True)
-    order = scene.interactions.all()
-    todo = [(scene, parts, which) for which in order if not _part(parts, *which).is_file()]
-    # fresh processes: forking would inherit the state of the thread pools
-    context = multiprocessing.get_context("spawn")
-    bar = tqdm(
-        total=len(order),
-        initial=len(order) - len(todo),
-        desc=f"simulating {path.name}",
-        unit="interaction",
-    )
-    with bar, ProcessPoolExecutor(min(workers, max(1, len(todo))), context, start_worker) as pool:
-        try:
-            for done in as_completed([pool.submit(_run, task) for task in todo]):
-                done.result()
-                bar.update()
-        except BrokenProcessPool:
-            raise InputError(
-                f"a worker process died (out of memory?); {bar.n} of {len(order)} interactions are kept: run the same command again, with fewer --workers"
-            ) from None
-        except (
-            BaseException
-        ):  # Ctrl-C too: what has begun ends and is kept, the rest is not started
-            pool.shutdown(cancel_futures=True)
-            raise
-    write_dataset(path, scene, mesh, (_read_part(_part(parts, *which)) for which in order))
-    rejected = sum(
-        (Counter(_read_part(_part(parts, *which))["rejected"]) for which in order), Counter()
-    )
-    shutil.rmtree(parts)
+    # a scene that cannot start fails here, not in a worker
+    scene.build_solver(mesh)
+    scene.mesh.embed(mesh)
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; give the path of a file")
+    with lock(path):
+        parts = _simulated(scene, mesh, _waiting(path, scene, mesh), path.name, workers, executor)
+        write_dataset(path, scene, mesh, map(_read, parts))
+        rejected = sum((Counter(_read(part)["rejected"]) for part in parts), Counter())
+        _remove_waiting(path)
     return dict(rejected)
 
 
-def _part(parts, split, number):
-    return parts / f"{split}-{number:04d}.npz"
+def _simulated(
+    scene: Scene,
+    mesh: HexMesh,
+    folder: Path,
+    title: str,
+    workers: int | None,
+    executor: Executor | None,
+) -> list[Path]:
+    """The files of all interactions in `folder`; those that are not there are simulated."""
+    make_folder(folder)
+    paths = {which: folder / "{}-{:04d}.npz".format(*which) for which in scene.interactions.all()}
+    todo = [which for which, path in paths.items() if not path.is_file()]
+    on_all_cores(
+        healthy_interaction,
+        [(scene, mesh, *which) for which in todo],
+        f"simulating {title}",
+        executor=executor,
+        workers=workers,
+        keep=lambda task, result: _write(paths[task[2:]], result),
+        unit="interaction",
+        before=len(paths) - len(todo),
+    )
+    return list(paths.values())
 
 
-def _run(task):
-    scene, parts, (split, number) = task
-    result = healthy_interaction(scene, scene.mesh.build(), split, number)
-    result["rejected"] = json.dumps(result["rejected"])
-    save_arrays(_part(parts, split, number), **result)
+def _write(path: Path, result: dict) -> None:
+    save_arrays(path, **result | {"rejected": json.dumps(result["rejected"])})
 
 
-def _read_part(path):
+def _read(path: Path) -> dict:
     with np.load(path) as part:
         return {name: part[name] for name in part.files if name != "rejected"} | {
             "rejected": json.loads(str(part["rejected"]))
         }
+
+
+def _waiting(path: Path, scene: Scene, mesh: HexMesh) -> Path:
+    """The folder beside `path` for what this code made of this scene on this mesh."""
+    content = (scene.toml(), mesh.points, mesh.cells, mesh.fixed, mesh.loaded)
+    return path.with_name(f".{path.name}.{digest(content, version=SIMULATION_VERSION)}.parts")
+
+
+def _remove_waiting(path: Path) -> None:
+    """Remove the folders of this output, those of other scenes or older code too."""
+    name = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]+\.parts")
+    for folder in list(path.parent.iterdir()):
+        if name.fullmatch(folder.name):
+            shutil.rmtree(folder)

@@ -74,13 +74,13 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_data(tiny, tmp_path):
     scene, out = write_scene(tmp_path, tree), tmp_path / "killed" / "out.h5"
     process = command(scene, "--out", out, "--workers", 1)
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("killed/.out.h5.*.parts/*.npz")) and time.monotonic() < deadline:
+    while not list(tmp_path.glob("killed/.out.h5.*.parts/[!.]*.npz")) and time.monotonic() < deadline:
         assert process.poll() is None, process.communicate()
         time.sleep(0.005)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     finished = {
-        part.name: part.stat().st_mtime_ns for part in tmp_path.glob("killed/.out.h5.*.parts/*.npz")
+        part.name: part.stat().st_mtime_ns for part in tmp_path.glob("killed/.out.h5.*.parts/[!.]*.npz")
     }
     assert 1 <= len(finished) < 4 and not out.exists()
     resumed = command(scene, "--out", out, "--workers", 1)
