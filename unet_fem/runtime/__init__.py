@@ -3,5 +3,9 @@
 from fem.lazy import exports
 
 __getattr__, __dir__, __all__ = exports(
-    __name__, {"unet_fem.runtime.surrogate": "Surrogate write_surrogate force_size VOLUME_BAND"}
+    __name__,
+    {
+        "unet_fem.runtime.surrogate": "Surrogate write_surrogate force_size",
+        "fem.online.volume": "VOLUME_BAND",
+    },
 )

@@ -19,9 +19,9 @@ import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
+from fem.online.volume import VOLUME_BAND, QuadVolume
 
 FORMAT = "unet-fem surrogate 1"
-VOLUME_BAND = 0.07  # the paper's, of the volume at rest
 
 
 def write_surrogate(path, model, *, mask, points, faces, interval, largest_force):
@@ -107,7 +107,7 @@ class Surrogate:
         self._finite = np.empty(field, bool)
         self._square, self._total = np.empty(self.mask.size, "float32"), np.empty(3, "float32")
         self._ones = np.ones(self.mask.size, "float32")
-        self._volume = _Volume(about["points"], about["faces"], self.mask)
+        self._volume = QuadVolume(about["points"], about["faces"], self.mask)
         self.rest_volume = self._volume(np.zeros(field, "float32"))
         self._warned = set()
         self.reset()
@@ -198,54 +198,6 @@ class Surrogate:
                 RuntimeWarning,
                 stacklevel=4,
             )
-
-
-class _Volume:
-    """Volume in mm3 within quads, as in unet_fem.training.losses: sum (a + b + c + d) . (c - a) x
-    (d - b) / 24.
-
-    Only faces with a free node change; the others are summed once.
-    """
-
-    def __init__(self, points, faces, mask):
-        points = points - points[np.unique(faces)].mean(
-            axis=0
-        )  # float32 loses less near the origin
-        moving = mask.ravel()[faces].any(axis=1)
-        fixed = faces[~moving]
-        self._nodes = faces[moving].T.ravel()  # (4 M,) the corners a of all faces, then b, c, d
-        self._rest = points[self._nodes].astype("float32")
-        shape = int(moving.sum()), 3
-        self._corners = np.empty_like(self._rest)
-        self._a, self._b, self._c, self._d = self._corners.reshape(4, *shape)
-        self._e, self._f, self._normal = (np.empty(shape, "float32") for _ in range(3))
-        self._product = np.empty(shape[0], "float32")
-        a, b, c, d = (points[fixed[:, n]] for n in range(4))
-        self._constant = float(np.sum((a + b + c + d) * np.cross(c - a, d - b))) / 24
-
-    def __call__(self, displacement):
-        a, b, c, d, e, f, normal, product = (
-            self._a,
-            self._b,
-            self._c,
-            self._d,
-            self._e,
-            self._f,
-            self._normal,
-            self._product,
-        )
-        np.take(displacement.reshape(-1, 3), self._nodes, axis=0, out=self._corners, mode="clip")
-        self._corners += self._rest
-        np.subtract(c, a, out=e)
-        np.subtract(d, b, out=f)
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            np.multiply(e[:, j], f[:, k], out=normal[:, i])
-            np.multiply(e[:, k], f[:, j], out=product)
-            normal[:, i] -= product
-        a += b
-        a += c
-        a += d
-        return self._constant + float(np.vdot(a, normal)) / 24
 
 
 def _read(path):
