@@ -2,16 +2,24 @@
 
 import functools
 import sys
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
 
 from fem.errors import InputError, SolverStopped
 
+P = ParamSpec("P")
+R = TypeVar("R")
 
-def command_line(main):
-    """Decorate a `main()` so that bad input ends in one line and exit code 2, not in a
-    traceback."""
+
+def command_line(main: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a `main()` so that bad input ends in one line and exit code 2, not in a traceback.
+
+    A run that the solver stopped ends with code 3, Ctrl-C with code 130. Whoever keeps what was
+    finished raises KeyboardInterrupt("how to go on") anew; else the same command starts afresh.
+    """
 
     @functools.wraps(main)
-    def wrapped(*args, **kwargs):
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return main(*args, **kwargs)
         except InputError as error:
@@ -20,11 +28,9 @@ def command_line(main):
         except SolverStopped as error:
             print(f"stopped: {error}", file=sys.stderr)
             sys.exit(3)
-        except KeyboardInterrupt:
-            print(
-                "\ninterrupted: what was finished is kept; run the same command again to go on",
-                file=sys.stderr,
-            )
+        except KeyboardInterrupt as interrupt:
+            go_on = str(interrupt) or "run the same command again"
+            print(f"\ninterrupted; {go_on}", file=sys.stderr)
             sys.exit(130)
 
     return wrapped

@@ -1,12 +1,14 @@
 """Simulate the interactions of a scene in parallel and write them to one HDF5 file.
 
     python -m fem.generate configs/tumour.toml [--out data/tumour.h5] [--workers 2]
+    fem.generate(scene, "data/tumour.h5")      the same from Python
 
 Finished interactions wait in a folder beside the file, so a run that was stopped goes on where it
 was.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from fem.commands import command_line
@@ -14,18 +16,15 @@ from fem.data.build import generate
 from fem.data.dataset import open_dataset
 from fem.data.scene import load_scene
 from fem.errors import InputError
+from fem.lazy import callable_module
+
+callable_module(__name__, generate)
 
 
 @command_line
-def main(arguments=None):
-    parser = argparse.ArgumentParser(
-        prog="python -m fem.generate", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("scene", help="scene file, such as configs/tumour.toml")
-    parser.add_argument("--out", type=Path, help="HDF5 file to write (default: data/<scene>.h5)")
-    parser.add_argument("--workers", type=int, help="processes (default: one per core)")
-    parser.add_argument("--quiet", action="store_true", help="show the progress alone")
-    options = parser.parse_args(arguments)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Generate the dataset of a scene, as the words of a command line ask."""
+    options = _options(arguments)
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers {options.workers} must be at least 1")
     scene = load_scene(options.scene)
@@ -38,10 +37,22 @@ def main(arguments=None):
     lost = open_dataset(out).embedding_error
     if lost:
         print(
-            f"the mesh has no node grid of its own: from it to the grid and back, displacement changes by {100 * lost:.2g} % (relative L2)"
+            "the mesh has no node grid of its own: from it to the grid and back, displacement"
+            f" changes by {100 * lost:.2g} % (relative L2)"
         )
     if not options.quiet:
         print(f"next: python -m unet_fem.train scene={options.scene} data={out} name={out.stem}")
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m fem.generate", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("scene", help="scene file, such as configs/tumour.toml")
+    parser.add_argument("--out", type=Path, help="HDF5 file to write (default: data/<scene>.h5)")
+    parser.add_argument("--workers", type=int, help="processes (default: one per core)")
+    parser.add_argument("--quiet", action="store_true", help="show the progress alone")
+    return parser.parse_args(arguments)
 
 
 if __name__ == "__main__":

@@ -42,8 +42,8 @@ def on_all_cores(
     keep: called in this process as keep(task, result) as soon as a task has ended, in any order;
     what it gives stands in the list. before: tasks of an earlier run, for the bar.
 
-    After an error or Ctrl-C what has begun ends and is kept, the rest is not started. Raises
-    InputError if a worker process dies.
+    `keep`, or the function itself, puts what was finished in files. After an error or Ctrl-C what
+    has begun ends and is kept, the rest is not started. Raises InputError if a worker process dies.
     """
     tasks = list(tasks)
     results: list = [None] * len(tasks)
@@ -65,11 +65,13 @@ def on_all_cores(
             for job in as_completed([job for job in jobs if not job.cancel()]):
                 if not job.exception():
                     finish(job)
+            done = f"{bar.n} of {bar.total} {unit}s are kept; run the same command again"
             if isinstance(error, BrokenExecutor):
                 raise InputError(
-                    f"a worker process died (out of memory?); {bar.n} of {bar.total} {unit}s are"
-                    " kept: run the same command again, with fewer workers"
+                    f"a worker process died (out of memory?); {done}, with fewer workers"
                 ) from None
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"{done} to go on") from None
             raise
     return results
 

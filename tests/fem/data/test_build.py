@@ -6,16 +6,21 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 
+import fem.generate
 from fem import settings as config
+from fem.data import build
 from fem.data.build import generate
 from fem.data.scene import Scene
 from fem.errors import InputError
 from fem.generate import main
+from fem.locks import lock
 
 SLOW = {"frames": {"count": 3, "interval": 0.6}, "health": {"min_J": 0.15}}
 
@@ -74,13 +79,16 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_data(tiny, tmp_path):
     scene, out = write_scene(tmp_path, tree), tmp_path / "killed" / "out.h5"
     process = command(scene, "--out", out, "--workers", 1)
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("killed/.out.h5.*.parts/[!.]*.npz")) and time.monotonic() < deadline:
+    while (
+        not list(tmp_path.glob("killed/.out.h5.*.parts/[!.]*.npz")) and time.monotonic() < deadline
+    ):
         assert process.poll() is None, process.communicate()
         time.sleep(0.005)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     finished = {
-        part.name: part.stat().st_mtime_ns for part in tmp_path.glob("killed/.out.h5.*.parts/[!.]*.npz")
+        part.name: part.stat().st_mtime_ns
+        for part in tmp_path.glob("killed/.out.h5.*.parts/[!.]*.npz")
     }
     assert 1 <= len(finished) < 4 and not out.exists()
     resumed = command(scene, "--out", out, "--workers", 1)
@@ -91,9 +99,32 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_data(tiny, tmp_path):
     assert_same(out, tmp_path / "undisturbed.h5")
 
 
-def test_finished_interactions_are_not_simulated_again(tiny, tmp_path, monkeypatch):
-    """After a failure while writing, the next run takes the finished interactions as they are."""
+def test_an_interrupted_run_says_how_to_go_on(tiny, tmp_path):
+    """Ctrl-C ends with code 130, the number of interactions that are kept, and the remedy."""
+    scene, out = write_scene(tmp_path, config.merge(tiny, SLOW)), tmp_path / "out.h5"
+    process = command(scene, "--out", out, "--workers", 1)
+    while not list(tmp_path.glob(".out.h5.*.parts/[!.]*.npz")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.005)
+    os.killpg(process.pid, signal.SIGINT)
+    stderr = process.communicate(timeout=60)[1]
+    kept = len(list(tmp_path.glob(".out.h5.*.parts/*.npz")))
+    assert process.returncode == 130 and not out.exists()
+    assert stderr.strip().splitlines()[-1] == (
+        f"interrupted; {kept} of 4 interactions are kept; run the same command again to go on"
+    )
+
+
+def test_two_generators_of_one_output_do_not_meet(tiny, tmp_path):
+    """While one writes, another is refused at once, with the first one's number."""
     scene, path = config.build(Scene, tiny), tmp_path / "out.h5"
+    with lock(path), pytest.raises(InputError, match=f"written by process {os.getpid()} since"):
+        generate(scene, path, workers=1)
+    assert not list(tmp_path.iterdir())
+
+
+def stopped_while_writing(scene, path, monkeypatch):
+    """Leave the parts of `scene` waiting for `path`; their folder."""
 
     def full_disk(*arguments):
         raise OSError("no space left on device")
@@ -102,21 +133,65 @@ def test_finished_interactions_are_not_simulated_again(tiny, tmp_path, monkeypat
         patch.setattr("fem.data.build.write_dataset", full_disk)
         with pytest.raises(OSError, match="no space"):
             generate(scene, path, workers=1)
-    (part,) = tmp_path.glob(".out.h5.*.parts/validation-0001.npz")
+    (folder,) = path.parent.glob(f".{path.name}.*.parts")
+    return folder
+
+
+def spoil(folder):
+    """Make the volume in a waiting part 12345."""
+    part = folder / "validation-0001.npz"
     fields = dict(np.load(part))
     np.savez(part, **fields | {"volume": fields["volume"] * 0 + 12345})
+
+
+def test_finished_interactions_are_not_simulated_again(tiny, tmp_path, monkeypatch):
+    """After a failure while writing, the next run takes the finished interactions as they are."""
+    scene, path = config.build(Scene, tiny), tmp_path / "out.h5"
+    spoil(stopped_while_writing(scene, path, monkeypatch))
     generate(scene, path, workers=1)
     with h5py.File(path) as file:
         assert np.all(file["volume"][2] == 12345) and np.all(file["volume"][0] < 100)
 
 
-def test_parts_of_another_scene_are_not_taken(tiny, tiny_dataset, tmp_path):
-    """Parts are kept by the digest of their scene: a changed scene starts afresh."""
+def test_parts_of_older_code_or_another_scene_are_not_taken(
+    tiny, tiny_dataset, tmp_path, monkeypatch
+):
+    """A changed scene or a raised version starts afresh; the stale parts go at the end, those of
+    other outputs stay."""
+    scene, path = config.build(Scene, tiny), tmp_path / "out.h5"
+    folder = stopped_while_writing(scene, path, monkeypatch)
+    spoil(folder)
+    stale = folder.with_name(".out.h5.0123456789abcdef.parts")
+    folder.rename(stale)
+    others = [".out.h5.more.0123456789abcdef.parts", ".other.h5.0123456789abcdef.parts"]
+    for name in others:
+        (tmp_path / name).mkdir()
+    generate(scene, path, workers=1)
+    assert_same(path, tiny_dataset)
+    assert sorted(item.name for item in tmp_path.iterdir()) == sorted([*others, "out.h5"])
+
+
+def test_the_key_of_parts_sees_scene_mesh_and_version(tiny, tmp_path, monkeypatch):
+    """Another setting, another content of the mesh file or a raised version: another folder."""
+    scene, path = config.build(Scene, tiny), tmp_path / "out.h5"
+    mesh = scene.mesh.build()
     other = config.build(Scene, config.merge(tiny, {"material": {"mu": 401.0}}))
-    parts = tmp_path / f".out.h5.{other.digest()}.parts"
-    parts.mkdir()
-    (parts / "train-0001.npz").write_bytes(b"of another scene")
-    generate(config.build(Scene, tiny), tmp_path / "out.h5", workers=1)
+    moved = replace(mesh, points=mesh.points * (1 + 1e-15))
+    held = replace(mesh, fixed=~mesh.fixed)
+    folders = {
+        build._waiting(path, *which)
+        for which in ((scene, mesh), (other, mesh), (scene, moved), (scene, held))
+    }
+    assert build._waiting(path, scene, scene.mesh.build()) in folders
+    monkeypatch.setattr(build, "SIMULATION_VERSION", build.SIMULATION_VERSION + 1)
+    assert len(folders | {build._waiting(path, scene, mesh)}) == 5
+
+
+def test_an_executor_of_the_user_gives_the_same_file(tiny, tiny_dataset, tmp_path):
+    """Threads of the user's own simulate without a file of their own; the executor stays open."""
+    with ThreadPoolExecutor(2) as executor:
+        fem.generate(config.build(Scene, tiny), tmp_path / "out.h5", executor=executor)
+        assert executor.submit(abs, -1).result() == 1
     assert_same(tmp_path / "out.h5", tiny_dataset)
 
 
@@ -187,12 +262,23 @@ def test_scene_that_no_worker_could_start_is_refused_at_once(tiny, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_output_that_cannot_be_written_is_refused_before_simulating(tiny, tmp_path):
+    """A folder, or a file where a folder should be."""
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path, tmp_path / "file" / "out.h5"):
+        with pytest.raises(InputError, match="is a folder|cannot be written"):
+            generate(config.build(Scene, tiny), path, workers=1)
+    assert [item.name for item in tmp_path.iterdir()] == ["file"]
+
+
 def test_fem_imports_no_network_library():
     """Importing every module of fem loads neither TensorFlow nor Keras nor Torch."""
     code = (
         "import importlib, pkgutil, sys, fem\n"
-        "for module in pkgutil.iter_modules(fem.__path__): importlib.import_module('fem.' + module.name)\n"
-        "print(*sorted({'tensorflow', 'keras', 'tf_keras', 'torch', 'jax', 'unet_fem'} & {name.split('.')[0] for name in sys.modules}))"
+        "for module in pkgutil.walk_packages(fem.__path__, 'fem.'):\n"
+        "    importlib.import_module(module.name)\n"
+        "heavy = {'tensorflow', 'keras', 'tf_keras', 'torch', 'jax', 'unet_fem'}\n"
+        "print(*sorted(heavy & {name.split('.')[0] for name in sys.modules}))"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
