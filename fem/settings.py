@@ -82,7 +82,9 @@ def build(cls: type, tree: dict[str, Any], where: str = "") -> Any:
             )
     values = {}
     for name, field in fields.items():
-        if name in tree:
+        if name in tree and "build" in field.metadata:  # a field that knows its kinds by itself
+            values[name] = field.metadata["build"](tree[name], _join(where, name))
+        elif name in tree:
             values[name] = _convert(tree[name], hints[name], _join(where, name))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise InputError(f"'{_join(where, name)}' is missing")

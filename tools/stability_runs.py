@@ -10,7 +10,7 @@ import fem.solver.explicit
 from fem.contact.push import smooth_step
 from fem.contact.surface import Surface
 from fem.errors import SolverStopped
-from fem.material.neo_hooke import Material
+from fem.material.neo_hooke import NeoHooke
 from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box
@@ -19,7 +19,7 @@ from fem.solver.explicit import Solver
 from fem.solver.internal_force import ELEMENTS
 from fem.solver.rest import equilibrium
 
-TISSUE = Material(mu=400.0, nu=0.42, density=1000.0)
+TISSUE = NeoHooke(mu=400.0, nu=0.42, density=1000.0)
 PAPER = replace(TISSUE, prony=((0.12, 330.0), (0.8, 11.0)))
 EDGE = 1e-3  # m
 BLOCK = box((6, 6, 4), EDGE)
@@ -94,7 +94,7 @@ def uniform(mesh, material, stretch, kind="full"):
     """Error of the equilibrium against u = stretch z, which is exact on any mesh with a fixed
     bottom: P is uniform.
 
-    The loads are the tractions P n of Material.stress, integrated over the faces.
+    The loads are the tractions P n of NeoHooke.stress, integrated over the faces.
     """
     F = np.eye(3)
     F[:, 2] += stretch

@@ -11,7 +11,8 @@ from fem import settings as config
 from fem.cache import digest
 from fem.contact.draw import ContactRange
 from fem.errors import InputError
-from fem.material.neo_hooke import Material
+from fem.material.base import Hyperelastic
+from fem.material.kinds import from_table, to_table
 from fem.mesh.embedding import Embedding
 from fem.mesh.node_grid import node_grid
 from fem.mesh.read import read_mesh
@@ -197,7 +198,7 @@ class Health:
 class Scene:
     """Mesh, material, solver, contacts and interactions of one dataset."""
 
-    material: Material
+    material: Hyperelastic = field(metadata={"build": from_table})
     contact: ContactRange
     frames: Frames
     interactions: Interactions
@@ -213,7 +214,7 @@ class Scene:
         return digest(self._tree())[:8]
 
     def _tree(self):
-        tree = config.to_dict(self)
+        tree = config.to_dict(self) | {"material": to_table(self.material)}
         del tree["mesh"]["folder"]  # where the scene lies is no part of it
         return tree
 

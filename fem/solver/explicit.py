@@ -4,6 +4,7 @@ loads."""
 import numpy as np
 
 from fem.errors import InputError, SolverStopped
+from fem.material.base import poisson_ratio, shear_modulus
 from fem.mesh import element
 from fem.solver.critical_step import critical_time_step, lumped_mass, thickness
 from fem.solver.internal_force import InternalForce
@@ -71,9 +72,10 @@ class Solver:
             )
         if not 0 < safety:
             raise InputError(f"solver.safety = {safety} must be positive; 0.85 is usual")
-        if element == "full" and material.nu > LOCKING_NU:
+        nu = np.max(poisson_ratio(material))
+        if element == "full" and nu > LOCKING_NU:
             raise InputError(
-                f"solver.element = 'full' locks at material.nu = {material.nu} (above {LOCKING_NU}); use element = 'mean_dilatation' or 'reduced'"
+                f"solver.element = 'full' locks at material.nu = {nu} (above {LOCKING_NU}); use element = 'mean_dilatation' or 'reduced'"
             )
         self.mesh, self.material, self.damping, self.safety = (
             mesh,
@@ -83,14 +85,13 @@ class Solver:
         )
         self.force = InternalForce(mesh, material, element, precision, hourglass_stiffness)
         self.mass = lumped_mass(mesh, material.density * np.asarray(mass_scaling, float))
-        elastic = type(material)(material.mu, material.nu, material.density)
         needs_own = precision != "float64" or material.prony
         self.tangent = (
-            InternalForce(mesh, elastic, element, "float64", hourglass_stiffness)
+            InternalForce(mesh, material.elastic(), element, "float64", hourglass_stiffness)
             if needs_own
             else self.force
         )
-        self.negligible_energy = 1e-6 * material.mu * mesh.volume()  # J
+        self.negligible_energy = 1e-6 * np.mean(shear_modulus(material)) * mesh.volume()  # J
         self._inverse_mass = np.where(
             mesh.fixed, 0.0, 1.0 / self.mass
         )  # (N,) zero holds the fixed nodes

@@ -44,7 +44,7 @@ def equilibrium(mesh, material, load, residual=1e-6, element="full", max_steps=5
     if not load.any():
         return Equilibrium(np.zeros(mesh.points.shape), 0.0, 0)
     share = 1 - sum(g for g, _ in material.prony)
-    elastic = type(material)(material.mu * share, material.nu, material.density)
+    elastic = material.elastic().scaled(share)
     heavier = np.square(
         thickness(mesh).max() / thickness(mesh)
     )  # rest does not depend on mass: give all cells one stable step

@@ -10,7 +10,7 @@ import pytest
 
 from fem.contact.surface import Surface
 from fem.errors import InputError, SolverStopped
-from fem.material.neo_hooke import Material
+from fem.material.neo_hooke import NeoHooke
 from fem.mesh.shapes import box
 from fem.solver.energy import EnergyLedger
 from fem.solver.explicit import LOCKING_NU, Solver
@@ -18,7 +18,7 @@ from fem.solver.internal_force import InternalForce
 from fem.solver.rest import equilibrium
 
 ROOT = Path(__file__).parents[3]
-TISSUE = Material(mu=400.0, nu=0.42, density=1000.0)
+TISSUE = NeoHooke(mu=400.0, nu=0.42, density=1000.0)
 EDGE = 1e-3  # m
 BLOCK = box((6, 6, 4), EDGE)
 
@@ -77,7 +77,7 @@ def test_published_map_is_complete_and_has_no_wrong_cell(monkeypatch):
 def test_single_precision_keeps_small_strains(kind, size):
     """The float32 force is true to 1e-5 for strains down to 1e-9, and at nu = 0.4999."""
     u = size * EDGE * np.random.default_rng(0).uniform(-1, 1, (3, BLOCK.n_nodes))
-    material = Material(mu=400.0, nu=0.4999 if kind == "mean_dilatation" else 0.42, density=1000.0)
+    material = NeoHooke(mu=400.0, nu=0.4999 if kind == "mean_dilatation" else 0.42, density=1000.0)
     single, double = (
         InternalForce(BLOCK, material, kind, precision)(u) for precision in ("float32", "float64")
     )
@@ -87,12 +87,12 @@ def test_single_precision_keeps_small_strains(kind, size):
 def test_locking_element_is_refused_with_the_remedy():
     """The full element is an InputError above the limit that names another; the others take nu =
     0.4999."""
-    stiff = Material(mu=400.0, nu=0.4999, density=1000.0)
+    stiff = NeoHooke(mu=400.0, nu=0.4999, density=1000.0)
     with pytest.raises(
         InputError, match="locks at material.nu = 0.4999 .*; use element = 'mean_dilatation'"
     ):
         Solver(BLOCK, stiff)
-    Solver(BLOCK, Material(400.0, LOCKING_NU, 1000.0))
+    Solver(BLOCK, NeoHooke(400.0, LOCKING_NU, 1000.0))
     depth = [
         -np.vdot(push(1.0).T, equilibrium(BLOCK, stiff, push(1e-4).T, 1e-3, kind).displacement)
         for kind in ("reduced", "mean_dilatation")
@@ -103,7 +103,7 @@ def test_locking_element_is_refused_with_the_remedy():
 def test_hourglass_control_relaxes_with_the_stress():
     """A reduced block creeps under a footprint as its stress does: 3.77 times in a minute, not 3.37
     times."""
-    viscous = Material(mu=400.0, nu=0.42, density=1000.0, prony=((0.12, 330.0), (0.8, 11.0)))
+    viscous = NeoHooke(mu=400.0, nu=0.42, density=1000.0, prony=((0.12, 330.0), (0.8, 11.0)))
     load = push(1e-7)
     solver, ledger = (
         Solver(BLOCK, viscous, "reduced", mass_scaling=1e4, damping=2.0),

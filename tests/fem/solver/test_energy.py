@@ -9,13 +9,13 @@ import pytest
 
 from fem.contact.surface import Surface
 from fem.errors import SolverStopped
-from fem.material.neo_hooke import Material
+from fem.material.neo_hooke import NeoHooke
 from fem.mesh.shapes import box
 from fem.solver.energy import COLUMNS, EnergyLedger, kinetic_energy
 from fem.solver.explicit import Solver
 from fem.solver.internal_force import ELEMENTS
 
-ELASTIC = Material(mu=400.0, nu=0.42, density=1000.0)
+ELASTIC = NeoHooke(mu=400.0, nu=0.42, density=1000.0)
 VISCOELASTIC = dataclasses.replace(ELASTIC, prony=((0.3, 2.0), (0.5, 0.3)))
 EDGE = 1e-3  # m
 MESH = box((5, 5, 3), EDGE)

@@ -7,7 +7,7 @@ import pytest
 
 from fem.contact.surface import Surface
 from fem.errors import InputError, SolverStopped
-from fem.material.neo_hooke import Material
+from fem.material.neo_hooke import NeoHooke
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box, tumour
 from fem.solver.critical_step import lumped_mass
@@ -16,7 +16,7 @@ from fem.solver.explicit import Solver
 from fem.solver.internal_force import ELEMENTS
 from fem.solver.rest import equilibrium
 
-TISSUE = Material(mu=400.0, nu=0.42, density=1000.0)
+TISSUE = NeoHooke(mu=400.0, nu=0.42, density=1000.0)
 EDGE = 1e-3  # m
 every_element = pytest.mark.parametrize("kind", ELEMENTS)
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from fem.errors import InputError, SolverStopped
-from fem.material.neo_hooke import Material
+from fem.material.neo_hooke import NeoHooke
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box
 from fem.solver.rest import equilibrium
 
-TISSUE = Material(mu=400.0, nu=0.42, density=1000.0)
+TISSUE = NeoHooke(mu=400.0, nu=0.42, density=1000.0)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_the_residual_asked_for_decides_the_error(block, block_mesh):
 def test_with_prony_terms_rest_is_the_relaxed_state(block, block_mesh):
     """Relaxed stress is g0 times the elastic one, so a quarter of the force at g0 = 1/4 gives the
     elastic answer."""
-    relaxed = Material(400.0, 0.42, 1000.0, prony=((0.5, 11.0), (0.25, 330.0)))
+    relaxed = NeoHooke(400.0, 0.42, 1000.0, prony=((0.5, 11.0), (0.25, 330.0)))
     found = equilibrium(block_mesh, relaxed, 0.25 * block["loads"])
     assert np.linalg.norm(found.displacement - block["u"][3]) < 1e-5 * np.linalg.norm(block["u"][3])
 

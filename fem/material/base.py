@@ -1,0 +1,338 @@
+"""What a constitutive law is, and what follows from it.
+
+A law of a user's own is a class that derives from Hyperelastic and gives `energy` and `stress`:
+
+    class Gent(Hyperelastic):
+        def energy(self, F): ...
+        def stress(self, F, out=None): ...
+
+Everything else is derived: the tangent by differences, the moduli at rest from the tangent. Where
+a class gives a new stress or energy, what it would inherit from another law is derived again too.
+"""
+
+import copy
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from fem.errors import InputError
+
+STEP = 6e-6  # of a central difference: the cube root of float64's rounding
+CONSISTENT = 1e-5  # of the largest stress, by which a law's stress may miss its energy's slope
+AT_REST = 1e-8  # of the wave modulus, that a law's stress and energy may be at rest
+SAMPLED = 16  # cells of which a law with one value a cell is checked
+
+
+class Hyperelastic:
+    """A law with a stored energy W(F), in the layout of the solver's kernel.
+
+        W(F),   P = dW/dF,   A = dP/dF
+
+    F (3, 3, ...) deformation gradients, such as (3, 3, Q, E) for Q points in E cells; W (...) in
+    J/m3; P (3, 3, ...) and A (3, 3, 3, 3, ...) in Pa, A[i, J, k, L] = dP_iJ / dF_kL. `out`, if
+    given, is filled and returned. Parameters are scalars or one value a cell, (E,).
+
+    density: kg/m3, one value or one a cell; prony: ((g, tau s), ...), empty for elastic:
+
+        S(t) = int G(t - s) dS_e(s),   G(t) = 1 - sum g_k + sum g_k exp(-t / tau_k),   S_e = F^-1 P
+
+    A law with a term K/2 (J - 1)^2 in W names its modulus `K`, Pa: the element "mean_dilatation"
+    needs it, see `volumetric_modulus`.
+    """
+
+    density: float | np.ndarray
+    K: Any
+    prony: tuple[tuple[float, float], ...] = ()
+
+    def __init_subclass__(cls, **options):
+        """A class with a stress or energy of its own does not inherit what belongs to another's."""
+        super().__init_subclass__(**options)
+        own = vars(cls).keys() | vars(cls).get("__annotations__", {}).keys()
+        if own & {"stress", "energy"}:
+            for name in {"tangent", "scaled"} - own:
+                setattr(cls, name, vars(Hyperelastic)[name])
+
+    def energy(self, F: np.ndarray) -> np.ndarray:
+        """W in J/m3 for F (3, 3, ...); inf where J <= 0."""
+        raise NotImplementedError
+
+    def stress(self, F: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """P in Pa for F (3, 3, ...)."""
+        raise NotImplementedError
+
+    def tangent(self, F: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """dP/dF in Pa for F (3, 3, ...), by central differences of the stress."""
+        F = np.array(F, float)
+        A: Any = out
+        for k, L in np.ndindex(3, 3):
+            middle = F[k, L].copy()
+            F[k, L] = middle + STEP
+            ahead = np.array(self.stress(F))
+            F[k, L] = middle - STEP
+            column = (ahead - self.stress(F)) / (2 * STEP)
+            F[k, L] = middle
+            A = np.empty((3, 3, 3, 3, *column.shape[2:])) if A is None else A
+            A[:, :, k, L] = column
+        return A
+
+    def elastic(self) -> "Hyperelastic":
+        """The same law without Prony terms."""
+        twin = copy.copy(self)
+        object.__setattr__(twin, "prony", ())
+        return twin
+
+    def scaled(self, factor: float) -> "Hyperelastic":
+        """The law whose energy and stresses are `factor` times these."""
+        return Scaled(self, factor)
+
+    def of_cells(self, cells: slice | np.ndarray, n_cells: int) -> "Hyperelastic":
+        """The law of some of a mesh's `n_cells` cells: parameters with one value a cell are cut.
+
+        Raises InputError for a parameter with another number of values.
+        """
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            object.__setattr__(twin, name, _cut(value, cells, n_cells, name))
+        return twin
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and _key(self) == _key(other)
+
+    def __hash__(self) -> int:
+        return hash(_key(self))
+
+
+class Scaled(Hyperelastic):
+    """`factor` times the energy and stresses of `law`, for a law whose parameters are not known."""
+
+    def __init__(self, law: Hyperelastic, factor: float) -> None:
+        self.law, self.factor = law, factor
+        self.density, self.prony = law.density, law.prony
+        K = volumetric_modulus(law)
+        self.K = None if K is None else factor * K
+        if hasattr(law, "nu"):
+            self.nu = law.nu
+
+    def energy(self, F: np.ndarray) -> np.ndarray:
+        return self.factor * self.law.energy(F)
+
+    def stress(self, F: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        return np.multiply(self.factor, self.law.stress(F), out=out)
+
+    def tangent(self, F: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        return np.multiply(self.factor, self.law.tangent(F), out=out)
+
+
+def _cut(value, cells, n_cells, name):
+    """`value` for some cells alone, if it is one value a cell, or holds such."""
+    if isinstance(value, Hyperelastic):
+        return value.of_cells(cells, n_cells)
+    if isinstance(value, tuple):
+        return tuple(_cut(item, cells, n_cells, name) for item in value)
+    if not isinstance(value, np.ndarray) or value.ndim == 0:
+        return value
+    if value.shape != (n_cells,):
+        raise InputError(
+            f"material.{name} has shape {value.shape}; give one value, or one for each of the"
+            f" {n_cells} cells"
+        )
+    return value[cells]
+
+
+def _key(value):
+    """What makes two laws equal, arrays included."""
+    if isinstance(value, Hyperelastic):
+        return type(value), tuple((name, _key(item)) for name, item in vars(value).items())
+    if isinstance(value, tuple):
+        return tuple(map(_key, value))
+    return (value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
+
+
+def _at_rest(material: Hyperelastic) -> np.ndarray:
+    """The tangent at rest, (3, 3, 3, 3) or (3, 3, 3, 3, E)."""
+    A = material.tangent(np.eye(3)[:, :, None, None])[..., 0, :]
+    return A[..., 0] if A.shape[-1] == 1 else A
+
+
+def _plain(value):
+    return float(value) if np.ndim(value) == 0 else value
+
+
+def wave_modulus(material: Hyperelastic) -> float | np.ndarray:
+    """dP_11/dF_11 at rest in Pa: dilatational waves run at its root over the density; one value or
+    one a cell."""
+    return _plain(_at_rest(material)[0, 0, 0, 0])
+
+
+def shear_modulus(material: Hyperelastic) -> float | np.ndarray:
+    """dP_12/dF_12 at rest in Pa; one value or one a cell."""
+    return _plain(_at_rest(material)[0, 1, 0, 1])
+
+
+def effective_poisson_ratio(material: Hyperelastic) -> float | np.ndarray:
+    """The Poisson ratio of small strains: L / (2 (L + mu)), L = dP_11/dF_22 and mu = dP_12/dF_12 at
+    rest."""
+    A = _at_rest(material)
+    lame = A[0, 0, 1, 1]
+    return _plain(lame / (2 * (lame + A[0, 1, 0, 1])))
+
+
+def poisson_ratio(material: Hyperelastic) -> float | np.ndarray:
+    """The parameter `nu` if the law has one, else its effective Poisson ratio at rest."""
+    return material.nu if hasattr(material, "nu") else effective_poisson_ratio(material)
+
+
+def volumetric_modulus(material: Hyperelastic) -> float | np.ndarray | None:
+    """K of the term K/2 (J - 1)^2 in the law's energy; None if it names none, or inherits the K of
+    another energy than its own."""
+    if "K" in vars(material):
+        return material.K
+    for cls in type(material).__mro__:
+        if "K" in vars(cls):
+            return material.K
+        if "energy" in vars(cls):
+            return None
+    return None
+
+
+def bulk_modulus(mu: float | np.ndarray, nu: float | np.ndarray) -> float | np.ndarray:
+    """K = 2 mu (1 + nu) / (3 (1 - 2 nu)) in Pa."""
+    return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
+
+
+def acoustic_stiffness(tangent: np.ndarray) -> np.ndarray:
+    """The largest ||A[:, J, :, J]|| over the axes J, (...) in Pa: what sets the stable step."""
+    blocks = [np.einsum("ik...,ik...->...", *2 * (tangent[:, J, :, J],)) for J in range(3)]
+    return np.sqrt(np.maximum.reduce(blocks))
+
+
+def parameter(value: float | Sequence[float] | np.ndarray) -> float | np.ndarray:
+    """A parameter as one float, or as an array of one a cell."""
+    array = np.array(value, float)
+    return array if array.ndim else float(array)
+
+
+def require(name: str, value: float | np.ndarray, holds: bool | np.ndarray, message: str) -> None:
+    """Raise InputError "material.<name> = <value> <message>" unless `holds`, for every cell."""
+    if not np.all(holds):
+        wrong = np.ravel(value)[~np.ravel(holds)][0]
+        raise InputError(f"material.{name} = {wrong} {message}")
+
+
+def check_nu(nu: float | np.ndarray) -> None:
+    """Raise InputError unless 0 <= nu < 0.5."""
+    require(
+        "nu",
+        nu,
+        (0 <= nu) & (nu < 0.5),
+        "must be at least 0 and below 0.5; for nearly incompressible tissue take 0.499",
+    )
+
+
+def check_density(density: float | np.ndarray) -> None:
+    """Raise InputError unless the density is positive."""
+    require(
+        "density",
+        density,
+        (0 < density) & (density < np.inf),
+        "kg/m3 must be positive; water has 1000",
+    )
+
+
+def check_prony(prony: tuple[tuple[float, float], ...]) -> None:
+    """Raise InputError unless all (g, tau) are positive and the g add up to less than 1."""
+    for g, tau in prony:
+        if not (0 < g < np.inf and 0 < tau < np.inf):
+            raise InputError(
+                f"material.prony has (g, tau) = ({g}, {tau}); both must be positive (leave the pair"
+                " out to switch it off)"
+            )
+    if sum(g for g, _ in prony) >= 1:
+        raise InputError(
+            f"material.prony weights add up to {sum(g for g, _ in prony):g}; below 1 the tissue"
+            " stays a solid"
+        )
+
+
+def check_law(material: Hyperelastic, n_cells: int) -> None:
+    """Raise InputError unless the law is fit for a mesh of `n_cells` cells, and say what is wrong.
+
+    At rest stress and energy vanish (to 1e-8 of the wave modulus). At random states near rest the
+    stress is the slope of the energy, the tangent that of the stress (central differences, to 1e-5
+    of the largest), and P F^T is symmetric: the energy does not change with a rotation.
+    """
+    name = type(material).__name__
+    if not isinstance(material, Hyperelastic):
+        raise InputError(f"material {name} must derive from fem.material.Hyperelastic")
+    if not hasattr(material, "density"):
+        raise InputError(f"material {name} has no density in kg/m3; give it one")
+    check_density(np.asarray(material.density))
+    check_prony(material.prony)
+    law = material.of_cells(np.unique(np.linspace(0, n_cells - 1, SAMPLED).astype(int)), n_cells)
+    n = min(n_cells, SAMPLED)
+    rest = np.tile(np.eye(3)[:, :, None, None], (1, 1, 1, n))
+    F = np.eye(3)[:, :, None, None] + np.random.default_rng(0).normal(0, 0.1, (3, 3, 5, n))
+    for method, shape in (("energy", (5, n)), ("stress", F.shape), ("tangent", (3, 3, *F.shape))):
+        _check_layout(law, method, F, shape)
+    modulus = np.asarray(wave_modulus(law))
+    if not (np.isfinite(modulus).all() and (modulus > 0).all()):
+        raise InputError(
+            f"material {name}: dP_11/dF_11 at rest is {modulus.min():.3g} Pa; it must be positive"
+        )
+    for method in ("stress", "energy"):
+        left = np.abs(getattr(law, method)(rest) / modulus).max()
+        if not left <= AT_REST:
+            raise InputError(
+                f"material {name}: {method} must vanish at rest (F = I); it is {left:.2g} times"
+                " the wave modulus"
+            )
+    P, A = np.array(law.stress(F)), law.tangent(F)
+    _check_equal(name, "stress is not the derivative of energy", P, slope(law.energy, F))
+    _check_equal(name, "tangent is not the derivative of stress", A, Hyperelastic.tangent(law, F))
+    moment = np.einsum("ijqe,kjqe->ikqe", P, F)
+    _check_equal(name, "energy changes with a rotation", moment, moment.swapaxes(0, 1))
+
+
+def slope(energy: Callable[[np.ndarray], np.ndarray], F: np.ndarray) -> np.ndarray:
+    """dW/dF (3, 3, ...) of a function W(F), by central differences."""
+    out = np.empty(F.shape)
+    for i, j in np.ndindex(3, 3):
+        shift = np.zeros(F.shape)
+        shift[i, j] = STEP
+        out[i, j] = (np.array(energy(F + shift)) - energy(F - shift)) / (2 * STEP)
+    return out
+
+
+def _check_layout(law, method, F, shape):
+    name = type(law).__name__
+    try:
+        result = np.shape(getattr(law, method)(F))
+    except NotImplementedError:
+        raise InputError(f"material {name} has no {method}(F); give it one") from None
+    except (ValueError, IndexError, TypeError) as error:
+        raise InputError(
+            f"material {name}: {method}(F) fails for F of shape {F.shape}: {error}"
+        ) from None
+    if result != shape:
+        raise InputError(
+            f"material {name}: {method}(F) has shape {result} for F of shape {F.shape}; it must be"
+            f" {shape}"
+        )
+
+
+def _check_equal(name, what, actual, expected):
+    size, error = np.abs(expected).max(), np.abs(actual - expected).max()
+    if not error <= CONSISTENT * size:
+        raise InputError(
+            f"material {name}: {what}; at random states they differ by up to {error:.3g} Pa where"
+            f" {size:.3g} Pa is the largest; give both of one law"
+        )
+
+
+def stress_into(material: Hyperelastic) -> Callable[..., np.ndarray]:
+    """stress(F, out) of a law, also of one whose stress takes no `out`."""
+    if "out" in inspect.signature(material.stress).parameters:
+        return material.stress
+    return lambda F, out: material.stress(F)
