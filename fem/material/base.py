@@ -221,14 +221,21 @@ def require(name: str, value: float | np.ndarray, holds: bool | np.ndarray, mess
         raise InputError(f"material.{name} = {wrong} {message}")
 
 
-def check_nu(nu: float | np.ndarray) -> None:
-    """Raise InputError unless 0 <= nu < 0.5."""
+def check_parameters(law: Any, *names: str) -> None:
+    """Store the parameters `names`, nu, density and prony of a frozen dataclass as floats, arrays
+    of one a cell and tuples; raise InputError for values that no tissue has."""
+    for name in (*names, "nu", "density"):
+        object.__setattr__(law, name, parameter(getattr(law, name)))
+    prony = tuple((float(g), float(tau)) for g, tau in law.prony)
+    object.__setattr__(law, "prony", prony)
     require(
         "nu",
-        nu,
-        (0 <= nu) & (nu < 0.5),
+        law.nu,
+        (0 <= law.nu) & (law.nu < 0.5),
         "must be at least 0 and below 0.5; for nearly incompressible tissue take 0.499",
     )
+    check_density(law.density)
+    check_prony(law.prony)
 
 
 def check_density(density: float | np.ndarray) -> None:

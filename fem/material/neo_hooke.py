@@ -7,10 +7,7 @@ import numpy as np
 from fem.material.base import (
     Hyperelastic,
     bulk_modulus,
-    check_density,
-    check_nu,
-    check_prony,
-    parameter,
+    check_parameters,
     require,
 )
 from fem.material.kinematics import (
@@ -51,13 +48,9 @@ class NeoHooke(Hyperelastic):
     prony: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("mu", "nu", "density"):
-            object.__setattr__(self, name, parameter(getattr(self, name)))
+        check_parameters(self, "mu")
         mu = self.mu
         require("mu", mu, (0 < mu) & (mu < np.inf), "Pa must be positive")
-        check_nu(self.nu)
-        check_density(self.density)
-        check_prony(self.prony)
 
     @property
     def K(self) -> float | np.ndarray:

@@ -8,9 +8,7 @@ from fem.errors import InputError
 from fem.material.base import (
     Hyperelastic,
     bulk_modulus,
-    check_density,
-    check_nu,
-    check_prony,
+    check_parameters,
     parameter,
     require,
 )
@@ -53,8 +51,7 @@ class Ogden(Hyperelastic):
     prony: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("nu", "density"):
-            object.__setattr__(self, name, parameter(getattr(self, name)))
+        check_parameters(self)
         terms = tuple((parameter(m), float(a)) for m, a in self.terms)
         object.__setattr__(self, "terms", terms)
         if not terms:
@@ -66,9 +63,6 @@ class Ogden(Hyperelastic):
                 )
         mu = self.mu
         require("terms: mu = sum m a / 2", mu, (0 < mu) & (mu < np.inf), "Pa must be positive")
-        check_nu(self.nu)
-        check_density(self.density)
-        check_prony(self.prony)
 
     @property
     def mu(self) -> float | np.ndarray:

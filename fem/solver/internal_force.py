@@ -54,7 +54,7 @@ class InternalForce:
         if element == "mean_dilatation" and volumetric_modulus(material) is None:
             raise InputError(
                 f"element 'mean_dilatation' needs the modulus K of a term K/2 (J - 1)^2 in the"
-                f" energy, and {type(material).__name__} names none beside its energy; give it K, or"
+                f" energy, and {type(material).__name__} names none beside its energy; give it K or"
                 " take element 'full' or 'reduced'"
             )
         self.mesh, self.material, self.element = mesh, material, element
