@@ -8,11 +8,6 @@ stress.
 import numpy as np
 
 IDENTITY = np.eye(3)
-# e_iJk of three axes, so that dcof_iJ/dF_kL = e_ikm e_JLM F_mM, which is finite where J = 0
-LEVI_CIVITA = np.zeros((3, 3, 3))
-for _i in range(3):
-    LEVI_CIVITA[_i, (_i + 1) % 3, (_i + 2) % 3] = 1
-    LEVI_CIVITA[_i, (_i + 2) % 3, (_i + 1) % 3] = -1
 
 
 def cofactor(F: np.ndarray) -> np.ndarray:
@@ -36,9 +31,14 @@ def pressure_tangent(
     F: np.ndarray, cof: np.ndarray, p: np.ndarray, slope: np.ndarray
 ) -> np.ndarray:
     """d(p(J) cof F)/dF (3, 3, 3, 3, ...), with p and dp/dJ (...)."""
-    out = np.einsum("iJ...,kL...->iJkL...", slope * cof, cof)
-    turn = np.einsum("ikm,JLM->iJkLmM", LEVI_CIVITA, LEVI_CIVITA)
-    return out + np.einsum("iJkLmM,mM...->iJkL...", turn, p * F)
+    out, pF = np.einsum("iJ...,kL...->iJkL...", slope * cof, cof), p * F
+    for i, J in np.ndindex(3, 3):  # dcof_iJ/dF_kL = e_ikm e_JLM F_mM, finite where J = 0 too
+        i1, i2, J1, J2 = (i + 1) % 3, (i + 2) % 3, (J + 1) % 3, (J + 2) % 3
+        out[i, J, i1, J1] += pF[i2, J2]
+        out[i, J, i2, J2] += pF[i1, J1]
+        out[i, J, i1, J2] -= pF[i2, J1]
+        out[i, J, i2, J1] -= pF[i1, J2]
+    return out
 
 
 def add_to_diagonal(A: np.ndarray, value: np.ndarray | float) -> np.ndarray:

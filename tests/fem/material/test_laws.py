@@ -1,6 +1,8 @@
 """Every law: closed forms, small strains, differences of energy and stress, special cases."""
 
 import dataclasses
+import doctest
+import importlib
 import pickle
 
 import numpy as np
@@ -164,6 +166,13 @@ def test_special_cases_are_the_neo_hookean_law():
     ):
         for method in ("energy", "stress", "tangent"):
             assert_close(getattr(law, method)(F), getattr(NEO, method)(F), 1e-13)
+
+
+@pytest.mark.parametrize("module", LAWS)
+def test_examples_of_the_docstrings(module):
+    """What the docstring of a law shows is what it gives."""
+    result = doctest.testmod(importlib.import_module(f"fem.material.{module}"))
+    assert result.attempted >= 2 and result.failed == 0
 
 
 @every_law

@@ -2,6 +2,7 @@
 cell, and laws of a user's own."""
 
 import dataclasses
+from pathlib import Path
 
 import felupe
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from fem.errors import InputError
 from fem.material import MooneyRivlin, NeoHooke, Ogden
+from fem.material.base import shear_modulus
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box, tumour
 from fem.solver import internal_force
@@ -321,3 +323,14 @@ def test_mean_dilatation_takes_a_law_that_names_its_modulus(make):
     u = wobble(mesh)
     expected = 100 * InternalForce(mesh, NEO, "mean_dilatation")(u)
     assert difference(InternalForce(mesh, named, "mean_dilatation")(u), expected) < 1e-12
+
+
+def test_law_of_the_manual_works():
+    """The class that docs/fem.md shows passes the checks and gives a force."""
+    text = (Path(__file__).parents[3] / "docs" / "fem.md").read_text()
+    names = {}
+    exec(text.split("```python\n")[1].split("```")[0], names)
+    mesh, law = box((2, 2, 2), EDGE), names["SaintVenant"](400.0, 2000.0, 1000.0)
+    u = np.diag([0.1, -0.05, 0.2]) @ mesh.points.T
+    force = InternalForce(mesh, law, "reduced")
+    assert (force(u) * u).sum() > 0 and shear_modulus(law) == pytest.approx(400.0)
