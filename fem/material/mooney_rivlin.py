@@ -42,10 +42,10 @@ class MooneyRivlin(Hyperelastic):
     332.1
     """
 
-    c10: float | np.ndarray
-    c01: float | np.ndarray
-    nu: float | np.ndarray
-    density: float | np.ndarray
+    c10: np.ndarray | float
+    c01: np.ndarray | float
+    nu: np.ndarray | float
+    density: np.ndarray | float
     prony: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:

@@ -42,9 +42,9 @@ class NeoHooke(Hyperelastic):
     313.0
     """
 
-    mu: float | np.ndarray
-    nu: float | np.ndarray
-    density: float | np.ndarray
+    mu: np.ndarray | float
+    nu: np.ndarray | float
+    density: np.ndarray | float
     prony: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:

@@ -50,9 +50,9 @@ class Ogden(Hyperelastic):
     224.5
     """
 
-    terms: tuple[tuple[float | np.ndarray, float], ...]
-    nu: float | np.ndarray
-    density: float | np.ndarray
+    terms: tuple[tuple[np.ndarray | float, float], ...]
+    nu: np.ndarray | float
+    density: np.ndarray | float
     prony: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
