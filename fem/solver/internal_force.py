@@ -6,7 +6,8 @@ import numpy as np
 import scipy.sparse
 
 from fem.errors import InputError
-from fem.material.base import Hyperelastic, check_law, volumetric_modulus
+from fem.material.base import Hyperelastic, volumetric_modulus
+from fem.material.check import check_law
 from fem.material.kinds import KINDS
 from fem.mesh.hexmesh import HexMesh
 from fem.solver.cells import Cells
@@ -23,7 +24,7 @@ class InternalForce:
 
     material: a Hyperelastic, with one value or one a cell of each parameter; NeoHooke itself has a
     kernel of its own, every other law goes through its stress in float64. A law of the user's own
-    is checked first, see fem.material.base.check_law.
+    is checked first, see fem.material.check.
     element: "full" (2 x 2 x 2 points), "mean_dilatation" (the same with one pressure a cell, which
     does not lock as nu goes to 0.5) or "reduced" (one point and hourglass control).
     precision: "float64" or "float32" for the work inside cells; nodal vectors are float64 in both.

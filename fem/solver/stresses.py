@@ -12,13 +12,14 @@ incompressible tissue.
     j = tr H + tr cof H + det H,   cof F = (1 + tr H) I - H^T + cof H
 """
 
+import inspect
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fem.material.base import Hyperelastic, acoustic_stiffness, stress_into, volumetric_modulus
+from fem.material.base import Hyperelastic, acoustic_stiffness, volumetric_modulus
 from fem.material.kinematics import cofactor, determinant
 from fem.material.neo_hooke import NeoHooke
 from fem.solver.elements import FullElement, ReducedElement
@@ -164,7 +165,7 @@ class GenericStress:
         self.material, self.element, self.scratch = material, element, scratch
         self.K = volumetric_modulus(material) if mean_dilatation else None
         self.weights = Weights(element, 1.0)
-        self._stress = stress_into(material)
+        self._stress = _stress_into(material)
         rest = np.tile(np.eye(3)[:, :, None, None], (1, 1, 1, element.n))
         self.rest = acoustic_stiffness(material.tangent(rest))  # (1, E) Pa
 
@@ -219,3 +220,10 @@ class Weights:
         self.factor: Any = 1.0 if cellwise else unit
         self.points = unit * element.volume if cellwise else element.volume
         self.cells = unit * element.cell_volume if cellwise else element.cell_volume
+
+
+def _stress_into(material):
+    """stress(F, out) of a law, also of one whose stress takes no `out`."""
+    if "out" in inspect.signature(material.stress).parameters:
+        return material.stress
+    return lambda F, out: material.stress(F)

@@ -26,6 +26,10 @@ def test_scene_names_a_law(kind, tiny):
     assert type(scene.material) is KINDS[kind] and scene.material.prony == ((0.12, 330.0),)
     again = settings.build(Scene, tomllib.loads(scene.toml()))
     assert again == scene and again.digest() == scene.digest()
+    solver = scene.build_solver(scene.mesh.build())
+    load = np.where(solver.mesh.fixed, 0.0, np.array([[0.0], [0.0], [-1e-5]]))
+    solver.advance(5e-3, lambda t: load)
+    assert solver.steps > 1 and solver.u[2].min() < 0
 
 
 def test_default_is_not_written(tiny):
