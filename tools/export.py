@@ -28,10 +28,16 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     sequence = open_dataset(options.dataset).sequence(options.split, options.interaction)
     collection = write_sequence(
-        options.folder, f"{options.split}-{options.interaction:04d}", sequence
+        options.folder,
+        f"{options.split}-{options.interaction:04d}",
+        sequence.mesh,
+        sequence.time,
+        {"displacement": sequence.displacement, "force": sequence.force},
+        sequence.energy,
     )
     print(
-        f"wrote {collection} ({len(sequence.time)} frames to {sequence.time[-1]:g} s); open it in ParaView, and move the mesh with Warp By Vector"
+        f"wrote {collection} ({len(sequence.time)} frames to {sequence.time[-1]:g} s);"
+        " open it in ParaView, and move the mesh with Warp By Vector"
     )
     if not sequence.energy:
         print("the dataset is from before energies were kept; generate it again to have them")

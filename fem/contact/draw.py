@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.contact.push import Contact
+from fem.contact.surface import Surface
 from fem.errors import InputError
+from fem.settings import normalised
 
 PATTERNS = ("hold", "release", "oscillate")
 
@@ -30,7 +32,8 @@ class ContactRange:
     low: tuple[float, float] = (0.0, 0.6)
     rate: tuple[float, float] = (0.3, 1.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        normalised(self)
         if self.count < 1:
             raise InputError(f"contact.count = {self.count} must be at least 1")
         if not 0 <= self.cone < 90:
@@ -39,7 +42,8 @@ class ContactRange:
             low, high = getattr(self, name)
             if not (0 <= low <= high < np.inf):
                 raise InputError(
-                    f"contact.{name} = [{low:g}, {high:g}] must be two numbers from low to high, none negative"
+                    f"contact.{name} = [{low:g}, {high:g}] must be two numbers from low to high,"
+                    " none negative"
                 )
         for name in ("radius", "ramp"):
             if getattr(self, name)[0] <= 0:
@@ -48,7 +52,13 @@ class ContactRange:
                 )
 
 
-def draw_contacts(surface, ranges, duration, rng, factor=None):
+def draw_contacts(
+    surface: Surface,
+    ranges: ContactRange,
+    duration: float,
+    rng: np.random.Generator,
+    factor: tuple[float, float] | None = None,
+) -> list[Contact]:
     """The contacts of one interaction, a list of Contact drawn with the generator `rng`.
 
     factor: (low, high) makes a hard interaction: every contact acts from the start, holds long
@@ -92,7 +102,7 @@ def _draw_contact(surface, ranges, duration, rng, factor):
     )
 
 
-def tilt(axis, angle, rng):
+def tilt(axis: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
     """A unit vector drawn evenly from the cone of half-angle `angle` about the unit vector
     `axis`."""
     cosine = rng.uniform(np.cos(angle), 1.0)

@@ -1,12 +1,18 @@
 """Instruments that push on the free surface: smooth circular footprints with a path, a force
 history and a direction."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from fem.contact.surface import Surface
+from fem.errors import InputError
+from fem.settings import normalised
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Contact:
     """One instrument during one interaction (m, N, s, Hz; unit direction).
 
@@ -20,15 +26,15 @@ class Contact:
     direction: np.ndarray
     radius: float
     peak: float
-    onset: float
-    ramp: float
-    hold: float
-    pattern: str
-    low: float
-    rate: float
-    duration: float
+    onset: float = 0.0
+    ramp: float = 0.5
+    hold: float = np.inf
+    pattern: str = "hold"
+    low: float = 0.0
+    rate: float = 1.0
+    duration: float = np.inf
 
-    def force(self, t):
+    def force(self, t: float) -> np.ndarray:
         """Force vector (3,) in N at time t."""
         rise = smooth_step((t - self.onset) / self.ramp)
         after = t - self.onset - self.ramp - self.hold
@@ -38,21 +44,74 @@ class Contact:
             rise *= 1 - (1 - self.low) * (1 - np.cos(2 * np.pi * self.rate * after)) / 2
         return self.peak * rise * self.direction
 
-    def centre(self, t):
+    def centre(self, t: float) -> np.ndarray:
         """Reference position (3,) in m of the footprint's centre at time t."""
         return self.start + smooth_step((t - self.onset) / (self.duration - self.onset)) * (
             self.end - self.start
         )
 
 
+@dataclass(frozen=True)
+class Push:
+    """A push at one place that rises and is then held: the simplest Contact.
+
+    at: "top" (the highest part of the surface that can be pushed on), "middle" (farthest from its
+    edge), "rim" (nearest to it), or a point (x, y, z) in m; force: N, below 0 pulls; radius: of the
+    footprint, m; direction: of the force, straight inwards if left out; onset, ramp: s.
+    """
+
+    at: str | tuple[float, float, float]
+    force: float
+    radius: float
+    direction: tuple[float, float, float] | None = None
+    onset: float = 0.0
+    ramp: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.at, str):
+            object.__setattr__(self, "at", tuple(float(x) for x in self.at))
+        normalised(self)
+        if isinstance(self.at, str) and self.at not in ("top", "middle", "rim"):
+            raise InputError(f"a push at '{self.at}'; give 'top', 'middle', 'rim' or a point in m")
+        for name in ("radius", "ramp"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"a push of {name} {getattr(self, name)} must have it above 0")
+        if self.direction is not None and not np.linalg.norm(self.direction) > 0:
+            raise InputError(f"a push along {self.direction} has no direction; leave it out")
+
+    def on(self, surface: Surface) -> Contact:
+        """This push on a surface."""
+        near = self._place(surface)
+        centre = surface.points[near] if isinstance(self.at, str) else np.array(self.at)
+        inwards = -surface.normal[near]
+        if self.direction is not None:
+            inwards = np.array(self.direction) / np.linalg.norm(self.direction)
+        return Contact(centre, centre, inwards, self.radius, self.force, self.onset, self.ramp)
+
+    def _place(self, surface):
+        points, clearance = surface.points, surface.clearance
+        if self.at == "middle":
+            return clearance.argmax()
+        if self.at == "rim":
+            return clearance.argmin()
+        if self.at == "top":
+            z = points[:, 2]
+            highest = np.flatnonzero(z >= z.max() - 1e-6 * np.ptp(points, axis=0).max())
+            return highest[clearance[highest].argmax()]
+        return np.square(points - self.at).sum(axis=1).argmin()
+
+
 class Load:
     """Nodal force field of some contacts; call it with the time in s for (3, N) in N."""
 
-    def __init__(self, surface, contacts):
-        self.surface, self.contacts = surface, contacts
+    def __init__(self, surface: Surface, contacts: Iterable[Contact | Push]) -> None:
+        self.surface = surface
+        self.contacts = [
+            contact.on(surface) if isinstance(contact, Push) else contact for contact in contacts
+        ]
 
-    def __call__(self, t):
-        total = 0.0
+    def __call__(self, t: float) -> np.ndarray:
+        total: Any = 0.0
         for contact in self.contacts:
             total = total + contact.force(t)[:, None] * self.surface.footprint(
                 contact.centre(t), contact.radius
@@ -60,7 +119,41 @@ class Load:
         return total
 
 
-def smooth_step(x):
+TABLE = np.dtype(
+    [
+        ("start", "f8", 3),
+        ("end", "f8", 3),
+        ("direction", "f8", 3),
+        ("radius", "f8"),
+        ("peak", "f8"),
+        ("onset", "f8"),
+        ("ramp", "f8"),
+        ("hold", "f8"),
+        ("pattern", "S10"),
+        ("low", "f8"),
+        ("rate", "f8"),
+        ("duration", "f8"),
+    ]
+)  # a Contact as a row of an array, for files
+COLUMNS = TABLE.names or ()
+
+
+def contact_table(contacts: Sequence[Contact]) -> np.ndarray:
+    """(C,) rows of TABLE."""
+    return np.array(
+        [tuple(getattr(contact, name) for name in COLUMNS) for contact in contacts], TABLE
+    )
+
+
+def table_contacts(table: np.ndarray) -> list[Contact]:
+    """The contacts behind rows (C,) of TABLE, to the bit."""
+    return [
+        Contact(**dict(zip(COLUMNS, row, strict=True)) | {"pattern": row["pattern"].decode()})
+        for row in table
+    ]
+
+
+def smooth_step(x: float) -> float:
     """0 below 0, 1 above 1, 3x^2 - 2x^3 between."""
     x = min(max(x, 0.0), 1.0)
     return x * x * (3 - 2 * x)

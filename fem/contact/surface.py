@@ -1,18 +1,21 @@
 """The surface of a mesh that instruments touch, and the nodal forces of a footprint on it."""
 
+import functools
+
 import numpy as np
 import scipy.sparse
 import scipy.spatial
 
 from fem.errors import InputError
 from fem.mesh import element
+from fem.mesh.hexmesh import HexMesh
 
 
 class Surface:
     """The free surface of a mesh, with quadrature points that turn a footprint into consistent
     nodal forces."""
 
-    def __init__(self, mesh):
+    def __init__(self, mesh: HexMesh) -> None:
         faces = mesh.free_faces
         if not len(faces):
             raise InputError(
@@ -38,7 +41,7 @@ class Surface:
             0
         ]  # (P,) m, inf without a rim
 
-    def footprint(self, centre, radius):
+    def footprint(self, centre: np.ndarray, radius: float) -> np.ndarray:
         """Share of a unit force that each node takes, (N,): consistent with the pressure (1 -
         r^2/R^2)^2, sum exactly 1.
 
@@ -57,12 +60,19 @@ class Surface:
         total = pressure.sum()
         if total == 0:
             raise InputError(
-                f"a footprint of radius {radius:g} m at {np.array2string(centre, precision=4)} m misses the free surface; widen contact.radius"
+                f"a footprint of radius {radius:g} m at {np.array2string(centre, precision=4)} m"
+                " misses the free surface; widen contact.radius"
             )
         return self.spread @ (pressure / total)
 
 
-def bump(x):
+@functools.lru_cache(maxsize=8)
+def surface_of(mesh: HexMesh) -> Surface:
+    """The Surface of `mesh`, made once in a process, also for an equal mesh."""
+    return Surface(mesh)
+
+
+def bump(x: np.ndarray) -> np.ndarray:
     """(1 - x)^2 from x = 0 to 1, then 0."""
     return np.square(np.clip(1 - x, 0, None))
 

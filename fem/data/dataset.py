@@ -5,8 +5,10 @@ The schema is described in docs/data.md.
 """
 
 import json
+import tomllib
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -14,12 +16,18 @@ import h5py
 import numpy as np
 
 from fem import settings as config
-from fem.data.grid import on_grid
+from fem.contact.push import Contact, table_contacts
+from fem.data.grid import displacement_on_grid, force_on_grid, grid_of
+from fem.data.interaction import contacts_of
 from fem.data.scene import SPLITS, Scene
 from fem.errors import InputError
+from fem.mesh import element
+from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
+from fem.online.grid import MM, NodeGrid
 
-FORMAT = "unet-fem dataset 1"
+FORMAT = "unet-fem dataset 2"
+FIRST_FORMAT = "unet-fem dataset 1"  # no contacts, and the mesh in mm or only on the grid
 UNITS = {
     "force": "mN",
     "displacement": "mm",
@@ -27,14 +35,48 @@ UNITS = {
     "points": "mm",
     "time": "s",
     "energy": "J",
+    "mesh/force": "mN",
+    "mesh/displacement": "mm",
+    "mesh/points": "m",
 }
 FIELDS = ("force", "displacement")
+READ = (*FIELDS, "volume")
+# kinds of type and shape of what every file holds: I interactions, F frames, a grid of x, y, z
+# nodes and E cells
+SCHEMA = {
+    "time": ("f", "F"),
+    "split": ("S", "I"),
+    "number": ("iu", "I"),
+    "hard": ("b", "I"),
+    "mask": ("b", "xyz"),
+    "fixed": ("b", "xyz"),
+    "points": ("f", "xyz3"),
+    "cells": ("iu", "E8"),
+    "force": ("f", "IFxyz3"),
+    "displacement": ("f", "IFxyz3"),
+    "volume": ("f", "IF"),
+}
+# of newer files and of embedded meshes: N nodes, C cells, K contacts, and one size of its own each
+OPTIONAL = {
+    "energy": ("f", "IFe"),
+    "contacts": ("V", "IK"),
+    "mesh/points": ("f", "N3"),
+    "mesh/cells": ("iu", "C8"),
+    "mesh/fixed": ("b", "N"),
+    "mesh/loaded": ("b", "N"),
+    "mesh/grid_index": ("iu", "N"),
+    "mesh/node_sets": ("b", "nN"),
+    "mesh/cell_sets": ("b", "cC"),
+    "mesh/force": ("f", "IFN3"),
+    "mesh/displacement": ("f", "IFN3"),
+}
 
 
 @dataclass(frozen=True)
 class Dataset:
     """An opened dataset: its description in memory, its fields read split by split.
 
+    format: FORMAT or FIRST_FORMAT
     time (frames,) s; split and number (interactions,); hard (interactions,) bool; mask (nx, ny, nz)
     of material nodes; fixed (nx, ny, nz) of held nodes; points (nx, ny, nz, 3) mm; cells (E, 8) as
     indices into the node grid, C order;
@@ -53,141 +95,239 @@ class Dataset:
     points: np.ndarray
     cells: np.ndarray
     embedding_error: float = 0.0
+    format: str = FORMAT
 
     @property
-    def grid(self):
+    def grid(self) -> tuple[int, int, int]:
+        """(nx, ny, nz) nodes of the networks' grid."""
         return self.mask.shape
 
     @property
-    def free(self):
+    def free(self) -> np.ndarray:
         """(nx, ny, nz) bool: nodes that can move."""
         return self.mask & ~self.fixed
 
     @cached_property
-    def mesh(self):
-        """The HexMesh in mm, with the nodes of the grid that carry material."""
+    def mesh(self) -> HexMesh:
+        """What the networks see as a HexMesh (m): the nodes of the grid that carry material, in its
+        order.
+
+        It is an image of `fem_mesh`, with its nodes where they lie on the grid.
+        """
         index = np.flatnonzero(self.mask)
         place = np.cumsum(self.mask.ravel()) - 1
-        points = self.points.reshape(-1, 3)[index].astype(float)
-        return HexMesh(points, place[self.cells], self.fixed.ravel()[index], self.grid, index)
+        points = self.points.reshape(-1, 3)[index] / MM
+        grid = NodeGrid(self.grid, index)
+        return HexMesh(points, place[self.cells], self.fixed.ravel()[index], grid)
 
     @cached_property
-    def surface(self):
+    def rest_volume(self) -> float:
+        """mm3 of the networks' cells at rest, to judge the volume of a prediction by."""
+        return float(element.gauss_volumes(self.points.reshape(-1, 3), self.cells).sum())
+
+    @cached_property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """(points (nx*ny*nz, 3) mm, faces (M, 4)): grid nodes and the boundary quads between them,
         outward."""
-        return self.points.reshape(-1, 3), self.mesh.grid_index[self.mesh.boundary_faces]
+        return self.points.reshape(-1, 3), grid_of(self.mesh).index[self.mesh.boundary_faces]
 
-    def read(self, split):
+    def read(
+        self, split: str, fields: Collection[str] = READ, numbers: Iterable[int] | None = None
+    ) -> dict[str, np.ndarray]:
         """{force mN, displacement mm (interactions, frames, nx, ny, nz, 3), volume mm3
-        (interactions, frames), hard, number}."""
+        (interactions, frames), hard, number} of a split.
+
+        fields: those to load, of the first three; numbers: of the interactions to load, in this
+        order; all if left out. Raises InputError for what there is not, and for values that are not
+        finite.
+        """
+        unknown = [name for name in fields if name not in READ]
+        if unknown or isinstance(fields, str):
+            raise InputError(f"fields = {fields!r} are not some of {', '.join(READ)}")
         if split not in SPLITS:
             raise InputError(f"split '{split}' is not one of {', '.join(SPLITS)}")
         rows = np.flatnonzero(self.split == split)
+        if numbers is not None:
+            rows = np.array([self._row(split, number) for number in numbers], int)
+        whole = len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows)))
         with _opened(self.path) as file:
-            fields = {
+            found = {
                 name: file[name][rows[0] : rows[-1] + 1]
-                for name in ("force", "displacement", "volume")
+                if whole
+                else np.array([file[name][row] for row in rows])
+                for name in fields
             }
-        for name, values in fields.items():
+        for name, values in found.items():
             if not np.isfinite(values).all():
                 raise InputError(
-                    f"{self.path} holds values that are not finite in {name} ({split}); delete it and generate it again"
+                    f"{self.path} holds values that are not finite in {name} ({split}); delete it"
+                    " and generate it again"
                 )
-        return fields | {"hard": self.hard[rows], "number": self.number[rows]}
+        return found | {"hard": self.hard[rows], "number": self.number[rows]}
 
-    @cached_property
-    def fem_mesh(self):
-        """The HexMesh in m that the interactions were simulated on: `mesh`, or one that is embedded
-        in the grid."""
+    def contacts(self, split: str, number: int) -> list[Contact]:
+        """The contacts that pushed in interaction `number` of `split`; where the file is from
+        before they were kept, they are drawn again (fem.data.interaction.contacts_of)."""
+        row = self._row(split, number)
         with _opened(self.path) as file:
-            if "mesh" in file:
-                own = {
-                    name: values[()] for name, values in file["mesh"].items() if name not in FIELDS
-                }
-                return HexMesh(**own | {"points": own["points"] * 1e-3})
-            loaded = (
-                self.mesh.from_grid(file["loaded"][()][..., None])[:, 0]
-                if "loaded" in file
-                else None
-            )
-        return replace(self.mesh, points=self.mesh.points * 1e-3, loaded=loaded)
+            if "contacts" in file:
+                return table_contacts(file["contacts"][row])
+        return contacts_of(self, split, number)
 
     @cached_property
-    def embedding(self):
+    def fem_mesh(self) -> HexMesh:
+        """The HexMesh (m) that the interactions were simulated on, read from the file: whole and to
+        the bit, or, from the first format, by way of mm and of the grid."""
+        with _opened(self.path) as file:
+            if self.format == FORMAT:
+                return read_mesh_group(file["mesh"], self.grid)
+            if "mesh" in file:
+                return read_mesh_group(file["mesh"], self.grid, MM)
+            loaded = file["loaded"][()] if "loaded" in file else None
+        if loaded is None:
+            return self.mesh
+        return self.mesh.with_sets(loaded=grid_of(self.mesh).from_grid(loaded[..., None])[:, 0])
+
+    @cached_property
+    def embedding(self) -> Embedding | None:
         """The Embedding of fem_mesh in the grid, or None if its nodes lie on the grid."""
         return self.scene.mesh.embed(self.fem_mesh)
 
-    def on_grid(self, force, displacement):
-        """Force and displacement (..., N, 3) at the nodes of fem_mesh on the grid: (..., nx, ny,
-        nz, 3)."""
-        return on_grid(self.fem_mesh, self.embedding, force, displacement)
+    def force_on_grid(self, force: np.ndarray) -> np.ndarray:
+        """Forces (..., N, 3) at the nodes of fem_mesh on the grid: (..., nx, ny, nz, 3)."""
+        return force_on_grid(self.fem_mesh, self.embedding, force)
 
-    def sequence(self, split, number):
+    def displacement_on_grid(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacement (..., N, 3) at the nodes of fem_mesh on the grid: (..., nx, ny, nz, 3)."""
+        return displacement_on_grid(self.fem_mesh, self.embedding, displacement)
+
+    def on_grid(self, force: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both of them."""
+        return self.force_on_grid(force), self.displacement_on_grid(displacement)
+
+    def sequence(self, split: str, number: int) -> "Sequence":
         """Interaction `number` of `split` on the mesh that it was simulated on, a Sequence. Raises
         InputError if there is none."""
+        mesh, row = self.fem_mesh, self._row(split, number)
+        with _opened(self.path) as file:
+            energy = {}  # files from before it was kept have none
+            if "energy" in file:
+                names = json.loads(file["energy"].attrs["columns"])
+                energy = dict(zip(names, file["energy"][row].T, strict=True))
+            if mesh.grid is None:
+                fields = {name: file[f"mesh/{name}"][row] for name in FIELDS}
+            else:
+                fields = {name: mesh.grid.from_grid(file[name][row]) for name in FIELDS}
+        return Sequence(mesh, self.time, **fields, energy=energy)
+
+    def _row(self, split, number):
         rows = np.flatnonzero((self.split == split) & (self.number == number))
         if not rows.size:
             have = ", ".join(f"{name} 1 to {(self.split == name).sum()}" for name in SPLITS)
             raise InputError(f"{self.path} has no {split} interaction {number}; it has {have}")
-        mesh, row = self.fem_mesh, rows[0]
-        with _opened(self.path) as file:
-            energy = {}  # files from before it was kept have none
-            if "energy" in file:
-                energy = dict(
-                    zip(json.loads(file["energy"].attrs["columns"]), file["energy"][row].T)
-                )
-            if "mesh" in file:
-                fields = {name: file[f"mesh/{name}"][row] for name in FIELDS}
-            else:
-                fields = {name: mesh.from_grid(file[name][row]) for name in FIELDS}
-        return Sequence(replace(mesh, points=mesh.points * 1e3), self.time, **fields, energy=energy)
+        return rows[0]
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """One interaction: mesh in mm, time (frames,) s, force (frames, N, 3) mN, displacement (frames,
+    """One interaction: mesh (m), time (frames,) s, force (frames, N, 3) mN, displacement (frames,
     N, 3) mm, energy {column: (frames,) J}."""
 
     mesh: HexMesh
     time: np.ndarray
     force: np.ndarray
     displacement: np.ndarray
-    energy: dict
+    energy: dict[str, np.ndarray]
 
 
-def open_dataset(path):
+def read_mesh_group(
+    group: h5py.Group, shape: tuple[int, int, int], per_metre: float = 1.0
+) -> HexMesh:
+    """The HexMesh in an HDF5 group, its points given in units of which a metre has `per_metre`;
+    shape: of the node grid, if it lies on one."""
+
+    def sets(kind):
+        if kind not in group:
+            return {}
+        return dict(zip(json.loads(group[kind].attrs["names"]), group[kind][()], strict=True))
+
+    return HexMesh(
+        group["points"][()] / per_metre,
+        group["cells"][()],
+        group["fixed"][()],
+        NodeGrid(shape, group["grid_index"][()]) if "grid_index" in group else None,
+        group["loaded"][()] if "loaded" in group else None,
+        sets("node_sets"),
+        sets("cell_sets"),
+    )
+
+
+def open_dataset(path: str | Path) -> Dataset:
     """The Dataset at `path`. Raises InputError if it is missing, damaged, or not one of ours."""
     path = Path(path)
     if not path.is_file():
         raise InputError(
-            f"no dataset {path}; make it with python -m fem.generate configs/<scene>.toml --out {path}"
+            f"no dataset {path}; make it with python -m fem.generate configs/<scene>.toml --out"
+            f" {path}"
         )
     with _opened(path) as file:
-        if file.attrs.get("format") != FORMAT:
-            raise InputError(
-                f"{path} is not a '{FORMAT}' file (format: {file.attrs.get('format')}); generate it again"
-            )
+        form = file.attrs.get("format")
+        if form not in (FORMAT, FIRST_FORMAT):
+            raise InputError(f"{path} is not a '{FORMAT}' file (format: {form}); generate it again")
+        _check(file, path)
         arrays = {
             name: file[name][()]
             for name in ("time", "number", "hard", "mask", "fixed", "points", "cells")
         }
         split = file["split"][()].astype(str)
-        tree = config.tomllib.loads(file.attrs["scene"])
+        tree = tomllib.loads(file.attrs["scene"])
         lost = float(file.attrs.get("embedding_error", 0.0))
     return Dataset(
-        path=path, scene=config.build(Scene, tree), split=split, embedding_error=lost, **arrays
+        path=path,
+        scene=config.build(Scene, tree),
+        split=split,
+        embedding_error=lost,
+        format=form,
+        **arrays,
     )
 
 
+def _check(file, path):
+    """Raises InputError that names a member that is missing, or of another type or shape than the
+    others ask for."""
+    sizes: dict[str, int] = {digit: int(digit) for digit in "38"}
+    for name, (kinds, axes) in (SCHEMA | OPTIONAL).items():
+        if name not in file:
+            if name in OPTIONAL:
+                continue
+            raise InputError(
+                f"{path} is damaged: it has no '{name}'; delete it and generate it again"
+            )
+        member = file[name]
+        shape = getattr(member, "shape", ())
+        fits = len(shape) == len(axes) and member.dtype.kind in kinds
+        if fits:
+            wanted = tuple(sizes.setdefault(axis, n) for axis, n in zip(axes, shape, strict=True))
+            fits = shape == wanted
+        if not fits:
+            kind = getattr(member, "dtype", "a group")
+            wanted = ", ".join(str(sizes.get(axis, "any")) for axis in axes)
+            raise InputError(
+                f"{path} is damaged: '{name}' is {kind} of shape {shape}, not of shape ({wanted});"
+                " delete it and generate it again"
+            )
+
+
 @contextmanager
-def _opened(path):
+def _opened(path: Path) -> Iterator[h5py.File]:
     """The HDF5 file at `path`, open for reading; what is missing or unreadable in it is an
     InputError."""
     try:
         file = h5py.File(path, "r")
     except OSError as error:
         raise InputError(
-            f"{path} cannot be read as HDF5 ({str(error).split('(')[-1].rstrip(')')}); delete it and generate it again"
+            f"{path} cannot be read as HDF5 ({str(error).split('(')[-1].rstrip(')')}); delete it"
+            " and generate it again"
         ) from None
     with file:
         try:

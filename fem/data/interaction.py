@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 
 from fem.contact.draw import draw_contacts
-from fem.contact.push import Load
-from fem.contact.surface import Surface
+from fem.contact.push import Load, contact_table
+from fem.contact.surface import surface_of
 from fem.data.scene import SPLITS
 from fem.errors import InputError, SolverStopped
 from fem.solver.energy import EnergyLedger
@@ -107,7 +107,7 @@ def contacts_of(dataset, split, number):
 
     Raises InputError if no attempt gives them: the dataset is another scene's.
     """
-    scene, surface = dataset.scene, Surface(dataset.fem_mesh)
+    scene, surface = dataset.scene, surface_of(dataset.fem_mesh)
     force = dataset.sequence(split, number).force
     rounding = 1e-5 * max(np.abs(force).max(), 1e-300)
     for attempt in range(MAX_ATTEMPTS):
@@ -124,22 +124,21 @@ def contacts_of(dataset, split, number):
 
 
 def healthy_interaction(scene, mesh, split, number):
-    """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with
-    `rejected` {reason: count}.
+    """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with its
+    `contacts` (rows of fem.contact.push.TABLE) and `rejected` {reason: count}.
 
     Raises InputError after 20 unfit draws.
     """
-    surface, rejected = Surface(mesh), Counter()
+    surface, rejected = surface_of(mesh), Counter()
     for attempt in range(MAX_ATTEMPTS):
         try:
-            result = simulate(
-                scene, mesh, drawn_contacts(scene, surface, split, number, attempt), surface
-            )
+            contacts = drawn_contacts(scene, surface, split, number, attempt)
+            result = simulate(scene, mesh, contacts, surface)
             reason = unfit(scene, result)
         except SolverStopped as stop:
             reason = stop.reason
         if reason is None:
-            return result | {"rejected": dict(rejected)}
+            return result | {"contacts": contact_table(contacts), "rejected": dict(rejected)}
         rejected[reason] += 1
     counts = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common())
     raise InputError(

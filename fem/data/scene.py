@@ -1,7 +1,8 @@
 """A scene: everything that one dataset depends on, read from a TOML file."""
 
+import functools
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,27 +15,48 @@ from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.material.kinds import from_table, to_table
 from fem.mesh.embedding import Embedding
+from fem.mesh.hexmesh import HexMesh
 from fem.mesh.node_grid import node_grid
-from fem.mesh.read import read_mesh
-from fem.mesh.shapes import TUMOUR_EDGE, box, tumour
+from fem.mesh.read import check_held, read_mesh
+from fem.mesh.shapes import TUMOUR_CELLS, TUMOUR_EDGE, box, tumour
 from fem.solver.explicit import Solver
 
 SPLITS = ("train", "validation", "test")
 
 
+# which settings of MeshChoice mean something for which kind of mesh, and what they are if left out
+MESH_KINDS: dict[str, dict[str, object]] = {
+    "tumour": {"edge": TUMOUR_EDGE, "cells": TUMOUR_CELLS},
+    "box": {"edge": TUMOUR_EDGE, "cells": TUMOUR_CELLS, "fixed": "all but top", "loaded": None},
+    "file": {
+        "file": None,
+        "scale": 1.0,
+        "fixed": None,
+        "loaded": None,
+        "grid": None,
+        "sha256": None,
+    },
+    "given": {"grid": None, "sha256": None},
+}
+
+
 @dataclass(frozen=True)
 class MeshChoice:
-    """kind: "tumour", "box" or "file" ("file" if a file is given, else "tumour").
+    """kind: "tumour", "box", "file" or "given" ("file" if a file is given, else "tumour").
 
-    edge: of a cube of the tumour or box, m; cells: of the box along x, y, z
+    edge: of a cube of the tumour or box, m; cells: of the box along x, y, z (the tumour is cut from
+    16, 16, 7)
     file: mesh to read, relative to the scene file; scale: m per unit of length in it, 1 if left out
     fixed, loaded: selections of the held nodes and of the surface to push on, see fem.mesh.select
-    and fem.mesh.read
+    and fem.mesh.read; a box is held "all but top" if left out
     grid: (nx, ny, nz) nodes of the grid to embed the mesh in, also if it lies on one of its own
-    sha256: of the mesh file; load_scene fills it in, so that a changed mesh makes another scene
+    sha256: of the mesh file, which load_scene fills in, or of a given mesh (HexMesh.digest), so
+    that another mesh makes another scene
+    folder: of the scene file, where `file` is looked for; mesh: of kind "given", see
+    Scene.with_mesh. Neither is part of the scene's text.
     """
 
-    kind: Literal["tumour", "box", "file"] | None = None
+    kind: Literal["tumour", "box", "file", "given"] | None = None
     edge: float | None = None
     cells: tuple[int, int, int] | None = None
     file: str | None = None
@@ -43,61 +65,90 @@ class MeshChoice:
     loaded: str | None = None
     grid: tuple[int, int, int] | None = None
     sha256: str | None = None
-    folder: str = field(
-        default="", init=False, compare=False, repr=False
-    )  # of the scene file, where `file` is looked for
+    folder: InitVar[str | Path] = ""
+    mesh: InitVar[HexMesh | None] = None
 
-    def __post_init__(self):
-        kind = self.kind or ("file" if self.file else "tumour")
-        foreign = (
-            ("edge", "cells")
-            if kind == "file"
-            else ("file", "scale", "fixed", "loaded", "grid", "sha256")
-        )
-        for name in foreign:
-            if getattr(self, name) is not None:
+    def __post_init__(self, folder: str | Path, mesh: HexMesh | None) -> None:
+        config.normalised(self)
+        set_ = object.__setattr__
+        set_(self, "folder", str(folder))
+        set_(self, "mesh", mesh)
+        set_(self, "kind", kind := self.kind or ("file" if self.file else "tumour"))
+        for field_ in fields(self)[1:]:
+            value = getattr(self, field_.name)
+            if value is None:
+                set_(self, field_.name, MESH_KINDS[kind].get(field_.name))
+            elif field_.name not in MESH_KINDS[kind]:
                 raise InputError(
-                    f"mesh.{name} = {getattr(self, name)!r} has no meaning for mesh.kind = '{kind}'; leave it out"
+                    f"mesh.{field_.name} = {value!r} has no meaning for mesh.kind = '{kind}';"
+                    " leave it out"
                 )
-        defaults = {"scale": 1.0} if kind == "file" else {"edge": TUMOUR_EDGE, "cells": (16, 16, 7)}
-        for name, value in ({"kind": kind} | defaults).items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
+        if kind == "tumour" and self.cells != TUMOUR_CELLS:
+            raise InputError(
+                f"mesh.cells = {self.cells} has no meaning for mesh.kind = 'tumour', which is"
+                f" cut from {TUMOUR_CELLS}; leave it out, or take kind = 'box'"
+            )
         if kind == "file" and not self.file:
             raise InputError("mesh.kind = 'file' needs mesh.file, such as 'liver.vtu'")
-        for name in ("scale",) if kind == "file" else ("edge",):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InputError(f"mesh.{name} = {getattr(self, name)} m must be positive")
+        for name in ("scale", "edge"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"mesh.{name} = {value} m must be positive")
 
-    def located(self, folder):
+    def located(self, folder: str | Path) -> "MeshChoice":
         """This choice with its file found in `folder` and its content known."""
-        if self.kind != "file":
+        if self.kind != "file" or self.file is None:
             return self
         path = Path(folder, self.file)
         if not path.is_file():
-            raise InputError(f"no mesh file {path}; mesh.file is relative to the scene file")
+            raise InputError(
+                f"no mesh file {path}; mesh.file is relative to the scene file (the mesh of a"
+                " dataset is in it: dataset.fem_mesh)"
+            )
         sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
         if self.sha256 not in (None, sha256):
             raise InputError(
-                f"{path} is another mesh than mesh.sha256 = '{self.sha256}' says; restore the mesh or leave mesh.sha256 out"
+                f"{path} is another mesh than mesh.sha256 = '{self.sha256}' says; restore the"
+                " mesh or leave mesh.sha256 out"
             )
-        found = replace(self, sha256=sha256)
-        object.__setattr__(found, "folder", str(folder))
-        return found
+        return replace(self, sha256=sha256, folder=folder)
 
-    def build(self):
-        """The HexMesh, with its node grid if it lies on one and none is asked for."""
-        if self.kind == "tumour":
-            return tumour(self.edge)
-        if self.kind == "box":
-            return box(self.cells, self.edge)
-        found = read_mesh(Path(self.folder, self.file), self.scale, self.fixed, self.loaded)
-        lies_on = None if self.grid else node_grid(found)
-        return replace(found, grid_shape=lies_on[0], grid_index=lies_on[1]) if lies_on else found
+    def build(self) -> HexMesh:
+        """The HexMesh, with its node grid if it lies on one and none is asked for.
 
-    def embed(self, hex_mesh):
+        Built once in a process, also for an equal choice; a mesh file is known by its content.
+        """
+        # InitVars with a default are attributes; mypy does not know
+        mesh: HexMesh | None = self.mesh  # type: ignore[attr-defined]
+        if self.kind == "given":
+            if mesh is None:
+                raise InputError(
+                    "the mesh of this scene was given as an object and is not in its text; take"
+                    " scene.with_mesh(dataset.fem_mesh)"
+                )
+            return mesh
+        return _build(self.located(self.folder))  # type: ignore[attr-defined]
+
+    def embed(self, hex_mesh: HexMesh) -> Embedding | None:
         """The Embedding of a mesh that `build` gave, or None if it lies on a node grid itself."""
-        return Embedding(hex_mesh, self.grid) if hex_mesh.grid_shape is None else None
+        return Embedding(hex_mesh, self.grid) if hex_mesh.grid is None else None
+
+
+@functools.lru_cache(maxsize=8)
+def _build(choice):
+    if choice.kind == "tumour":
+        return tumour(choice.edge)
+    if choice.kind == "box":
+        mesh = box(choice.cells, choice.edge, choice.fixed).with_sets(loaded=choice.loaded)
+        check_held(mesh)
+        return mesh
+    mesh = read_mesh(Path(choice.folder, choice.file), choice.scale, choice.fixed, choice.loaded)
+    return mesh if choice.grid else on_own_grid(mesh)
+
+
+def on_own_grid(mesh: HexMesh) -> HexMesh:
+    """`mesh` on the node grid in its connectivity, if it has one."""
+    return replace(mesh, grid=mesh.grid or node_grid(mesh))
 
 
 @dataclass(frozen=True)
@@ -111,15 +162,15 @@ class SolverChoice:
     mass_scaling: float = 1.0
     safety: float = 0.85
 
-    def __post_init__(self):
-        # the solver's default; the other elements have no use for it, so that there it must not
-        # make two scenes of one
-        stiffness = (
-            (0.2 if self.hourglass_stiffness is None else self.hourglass_stiffness)
-            if self.element == "reduced"
-            else None
-        )
-        object.__setattr__(self, "hourglass_stiffness", stiffness)
+    def __post_init__(self) -> None:
+        config.normalised(self)
+        if self.element != "reduced" and self.hourglass_stiffness is not None:
+            raise InputError(
+                f"solver.hourglass_stiffness = {self.hourglass_stiffness} has no meaning for"
+                f" solver.element = '{self.element}'; leave it out, or take element = 'reduced'"
+            )
+        if self.element == "reduced" and self.hourglass_stiffness is None:
+            object.__setattr__(self, "hourglass_stiffness", 0.2)  # the solver's default
 
 
 @dataclass(frozen=True)
@@ -129,19 +180,26 @@ class Frames:
     count: int
     interval: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        config.normalised(self)
         if self.count < 2 or not 0 < self.interval < np.inf:
             raise InputError(
-                f"frames: count = {self.count} must be at least 2 and interval = {self.interval} s positive"
+                f"frames: count = {self.count} must be at least 2 and interval = {self.interval}"
+                " s positive"
             )
 
     @property
-    def times(self):
+    def times(self) -> np.ndarray:
+        """(count,) s."""
         return np.arange(self.count) * self.interval
 
     @property
-    def duration(self):
+    def duration(self) -> float:
+        """s, from the first frame to the last."""
         return (self.count - 1) * self.interval
+
+
+PAPERS_HARD = (78, 85)  # of the paper's 100 tests
 
 
 @dataclass(frozen=True)
@@ -149,39 +207,56 @@ class Interactions:
     """How many interactions each split has, numbered from 1, and the seed of all.
 
     hard: (first, last) numbers of the test interactions whose peak forces are `hard_force` (low,
-    high) times the largest in contact.force, so that they lie outside the training data.
+    high) times the largest in contact.force, so that they lie outside the training data. Left out
+    it is the paper's 78 to 85, and no interaction is hard where there are fewer than 85 tests;
+    hard_force is 1.3 to 1.6 if left out.
     """
 
     seed: int
     train: int
     validation: int
     test: int
-    hard: tuple[int, int] = (78, 85)
-    hard_force: tuple[float, float] = (1.3, 1.6)
+    hard: tuple[int, int] | None = None
+    hard_force: tuple[float, float] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        config.normalised(self)
         for name in SPLITS:
             if getattr(self, name) < 1:
                 raise InputError(f"interactions.{name} = {getattr(self, name)} must be at least 1")
         if self.seed < 0:
             raise InputError(f"interactions.seed = {self.seed} must not be negative")
+        if self.hard is None and self.test >= PAPERS_HARD[1]:
+            object.__setattr__(self, "hard", PAPERS_HARD)
+        if self.hard is None:
+            if self.hard_force is not None:
+                raise InputError(
+                    f"interactions.hard_force = {list(self.hard_force)} has no meaning without"
+                    " interactions.hard; give it, or leave both out"
+                )
+            return
         if not (1 <= self.hard[0] <= self.hard[1] <= self.test):
             raise InputError(
-                f"interactions.hard = {list(self.hard)} must be first and last number within the {self.test} test interactions"
+                f"interactions.hard = {list(self.hard)} must be first and last number within the"
+                f" {self.test} test interactions"
             )
-        if not 1 <= self.hard_force[0] <= self.hard_force[1] < np.inf:
+        low, high = self.hard_force or (1.3, 1.6)
+        if not 1 <= low <= high < np.inf:
             raise InputError(
-                f"interactions.hard_force = {list(self.hard_force)} must be two factors from low to high, at least 1"
+                f"interactions.hard_force = [{low}, {high}] must be two factors from low to high,"
+                " at least 1"
             )
+        object.__setattr__(self, "hard_force", (low, high))
 
-    def all(self):
+    def all(self) -> list[tuple[str, int]]:
         """[(split, number)] of every interaction, in the order of the dataset."""
         return [
             (split, number) for split in SPLITS for number in range(1, getattr(self, split) + 1)
         ]
 
-    def is_hard(self, split, number):
-        return split == "test" and self.hard[0] <= number <= self.hard[1]
+    def is_hard(self, split: str, number: int) -> bool:
+        """Whether this interaction pushes harder than anything in training."""
+        return split == "test" and self.hard is not None and self.hard[0] <= number <= self.hard[1]
 
 
 @dataclass(frozen=True)
@@ -192,6 +267,9 @@ class Health:
     imbalance: float = 0.01
     min_J: float = 0.15
     kinetic_share: float = 0.05
+
+    def __post_init__(self) -> None:
+        config.normalised(self)
 
 
 @dataclass(frozen=True)
@@ -206,23 +284,38 @@ class Scene:
     solver: SolverChoice = field(default_factory=SolverChoice)
     health: Health = field(default_factory=Health)
 
-    def toml(self):
+    def __post_init__(self) -> None:
+        config.normalised(self)
+
+    def toml(self) -> str:
+        """The text of every setting, defaults included; where the scene lies is no part of it."""
         return config.dump_toml(self._tree())
 
-    def digest(self):
+    def digest(self) -> str:
         """Eight hexadecimal digits that change with every setting."""
         return digest(self._tree())[:8]
 
     def _tree(self):
-        tree = config.to_dict(self) | {"material": to_table(self.material)}
-        del tree["mesh"]["folder"]  # where the scene lies is no part of it
-        return tree
+        return config.to_dict(self) | {"material": to_table(self.material)}
 
-    def build_solver(self, hex_mesh):
+    def with_mesh(self, mesh: HexMesh, grid: tuple[int, int, int] | None = None) -> "Scene":
+        """This scene on the HexMesh `mesh` (m), such as fem.mesh.read.read_mesh gives; its dataset
+        stores the mesh whole.
+
+        grid: (nx, ny, nz) nodes of the grid to embed the mesh in, also if it lies on one of its
+        own. Raises InputError for a mesh that is not held.
+        """
+        check_held(mesh)
+        mesh = replace(mesh, grid=None) if grid else on_own_grid(mesh)
+        choice = MeshChoice("given", grid=grid, sha256=mesh.digest, mesh=mesh)
+        return replace(self, mesh=choice)
+
+    def build_solver(self, hex_mesh: HexMesh) -> Solver:
+        """The solver of `hex_mesh` with this scene's material and settings."""
         return Solver(hex_mesh, self.material, **config.to_dict(self.solver))
 
 
-def load_scene(path):
+def load_scene(path: str | Path) -> Scene:
     """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value, or a
     missing mesh file."""
     scene = config.build(Scene, config.read_toml(path))

@@ -2,111 +2,136 @@
 in docs/data.md."""
 
 import json
-import os
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
+from fem.contact.push import TABLE, contact_table
 from fem.data.dataset import FIELDS, FORMAT, UNITS
-from fem.data.grid import on_grid
+from fem.data.grid import displacement_from_grid, displacement_on_grid, force_on_grid
+from fem.data.scene import Scene
+from fem.errors import InputError
+from fem.files import replacing
 from fem.measure.machine import versions
+from fem.mesh.hexmesh import HexMesh
+from fem.online.grid import MM
 from fem.solver.energy import COLUMNS
 
 HEALTH = ("imbalance", "min_J", "kinetic_share", "hourglass_share", "steps")
 
 
-def write_dataset(path, scene, mesh, results):
+def write_dataset(
+    path: str | Path, scene: Scene, mesh: HexMesh, results: Iterable[dict[str, Any]]
+) -> None:
     """Write the interactions `results` (dicts of fem.data.interaction, in the order of
     scene.interactions.all()) to `path`.
 
     A temporary file beside it takes its place only when it is complete.
     """
-    path = Path(path)
     embedding = scene.mesh.embed(mesh)
-    grid_mesh = embedding.grid_mesh if embedding else mesh
-    squared_loss = squared_size = 0.0
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    order = scene.interactions.all()
-    frames, grid = scene.frames.count, (*grid_mesh.grid_shape, 3)
-    rejected = Counter()
-    try:
-        with h5py.File(partial, "w") as file:
-            file.attrs["format"] = FORMAT
-            file.attrs["scene"] = scene.toml()
-            file.attrs["scene_digest"] = scene.digest()
-            file.attrs["seed"] = scene.interactions.seed
-            file.attrs["versions"] = json.dumps(versions())
-            make = {
-                "chunks": (1, frames, *grid),
-                "compression": "gzip",
-                "compression_opts": 1,
-                "shuffle": True,
+    with replacing(path) as partial, h5py.File(partial, "w") as file:
+        _describe(file, scene)
+        _write_grid(file, embedding.grid_mesh if embedding else mesh)
+        _write_mesh(file, mesh)
+        columns = _columns(file, scene, mesh, file["mask"].shape)
+        rejected: Counter = Counter()
+        lost = size = 0.0  # mm2
+        for i, result in enumerate(results):
+            displacement = displacement_on_grid(mesh, embedding, result["displacement"])
+            row = result | {
+                "force": force_on_grid(mesh, embedding, result["force"]),
+                "displacement": displacement,
+                "contacts": _table(result["contacts"], scene.contact.count),
             }
-            fields = {
-                k: file.create_dataset(k, (len(order), frames, *grid), "f4", **make) for k in FIELDS
-            }
-            own = {}  # the FEM's own fields, where the grid has them only approximately
             if embedding:
-                make["chunks"] = 1, frames, mesh.n_nodes, 3
-                own = {
-                    k: file.create_dataset(
-                        f"mesh/{k}", (len(order), frames, mesh.n_nodes, 3), "f4", **make
-                    )
-                    for k in FIELDS
-                }
-                file["mesh/points"], file["mesh/cells"], file["mesh/fixed"] = (
-                    mesh.points * 1e3,
-                    mesh.cells,
-                    mesh.fixed,
-                )
-            if mesh.loaded is not None:
-                file["mesh/loaded" if embedding else "loaded"] = (
-                    mesh.loaded if embedding else mesh.to_grid(mesh.loaded[:, None])[..., 0]
-                )
-            energy = file.create_dataset("energy", (len(order), frames, len(COLUMNS) - 1), "f8")
-            energy.attrs["columns"] = json.dumps(COLUMNS[1:])
-            volume = file.create_dataset("volume", (len(order), frames), "f8")
-            health = {
-                k: file.create_dataset(f"health/{k}", (len(order),), "i8" if k == "steps" else "f8")
-                for k in HEALTH
-            }
-            for i, result in enumerate(results):
-                for name, values in zip(
-                    FIELDS, on_grid(mesh, embedding, *(result[name] for name in FIELDS))
-                ):
-                    fields[name][i] = values
-                for name, field in own.items():
-                    field[i] = result[name]
-                if embedding:
-                    back = embedding.to_mesh(
-                        grid_mesh.from_grid(values)
-                    )  # the displacement, the last of FIELDS
-                    squared_loss += np.sum(np.square(back - result["displacement"], dtype=float))
-                    squared_size += np.sum(np.square(result["displacement"], dtype=float))
-                volume[i], energy[i] = result["volume"], result["energy"]
-                for name, column in health.items():
-                    column[i] = result[name]
-                rejected.update(result["rejected"])
-            file.attrs["rejected"] = json.dumps(rejected)
-            file.attrs["embedding_error"] = (
-                float(np.sqrt(squared_loss / squared_size)) if squared_size else 0.0
+                row |= {f"mesh/{name}": result[name] for name in FIELDS}
+                back = displacement_from_grid(mesh, embedding, displacement)
+                lost += np.sum(np.square(back - result["displacement"], dtype=float))
+                size += np.sum(np.square(result["displacement"], dtype=float))
+            for name, column in columns.items():
+                column[i] = row[name.removeprefix("health/")]
+            rejected.update(result["rejected"])
+        file.attrs["rejected"] = json.dumps(rejected)
+        file.attrs["embedding_error"] = float(np.sqrt(lost / size)) if size else 0.0
+        for name, unit in UNITS.items():
+            if name in file:
+                file[name].attrs["unit"] = unit
+
+
+def _describe(file, scene):
+    """What stands for the whole file: its origin, and which interaction is where."""
+    file.attrs["format"] = FORMAT
+    file.attrs["scene"] = scene.toml()
+    file.attrs["scene_digest"] = scene.digest()
+    file.attrs["seed"] = scene.interactions.seed
+    file.attrs["versions"] = json.dumps(versions())
+    order = scene.interactions.all()
+    file["time"] = scene.frames.times
+    file["split"] = np.array([split for split, _ in order], "S10")
+    file["number"] = [number for _, number in order]
+    file["hard"] = [scene.interactions.is_hard(*which) for which in order]
+
+
+def _write_grid(file, grid_mesh):
+    """What the networks see of the mesh."""
+    grid = grid_mesh.grid
+    file["mask"] = grid.mask
+    file["fixed"] = grid.to_grid(grid_mesh.fixed[:, None])[..., 0]
+    file["points"] = grid.to_grid(grid_mesh.points * MM)
+    file["cells"] = grid.index[grid_mesh.cells]
+
+
+def _write_mesh(file, mesh):
+    """The mesh that was simulated, whole and to the bit: fem.data.dataset.read_mesh_group."""
+    group = file.create_group("mesh")
+    group["points"], group["cells"], group["fixed"] = mesh.points, mesh.cells, mesh.fixed
+    if mesh.loaded is not None:
+        group["loaded"] = mesh.loaded
+    if mesh.grid is not None:
+        group["grid_index"] = mesh.grid.index
+    for kind in ("node_sets", "cell_sets"):
+        sets = getattr(mesh, kind)
+        if sets:
+            group.create_dataset(kind, data=np.array(list(sets.values())), compression="gzip")
+            group[kind].attrs["names"] = json.dumps(list(sets))
+
+
+def _columns(file, scene, mesh, grid):
+    """{name: HDF5 array} of all that has a row for each interaction."""
+    count, frames = len(scene.interactions.all()), scene.frames.count
+
+    def fields(where, shape):
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        chunk = (1, frames, *shape)
+        for name in FIELDS:
+            yield (
+                f"{where}{name}",
+                file.create_dataset(
+                    f"{where}{name}", (count, frames, *shape), "f4", chunks=chunk, **packed
+                ),
             )
-            file["time"] = scene.frames.times
-            file["split"] = np.array([split for split, _ in order], "S10")
-            file["number"] = [number for _, number in order]
-            file["hard"] = [scene.interactions.is_hard(*which) for which in order]
-            file["mask"] = grid_mesh.to_grid(np.ones((grid_mesh.n_nodes, 1), bool))[..., 0]
-            file["fixed"] = grid_mesh.to_grid(grid_mesh.fixed[:, None])[..., 0]
-            file["points"] = grid_mesh.to_grid(grid_mesh.points * 1e3)
-            file["cells"] = grid_mesh.grid_index[grid_mesh.cells]
-            for name, unit in UNITS.items():
-                for where in (name, f"mesh/{name}"):
-                    if where in file:
-                        file[where].attrs["unit"] = unit
-        with open(partial, "rb") as done:
-            os.fsync(done.fileno())
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+
+    columns = dict(fields("", (*grid, 3)))
+    if mesh.grid is None:  # the grid has the FEM's own fields only approximately
+        columns |= dict(fields("mesh/", (mesh.n_nodes, 3)))
+    columns["volume"] = file.create_dataset("volume", (count, frames), "f8")
+    columns["energy"] = file.create_dataset("energy", (count, frames, len(COLUMNS) - 1), "f8")
+    columns["energy"].attrs["columns"] = json.dumps(COLUMNS[1:])
+    columns["contacts"] = file.create_dataset("contacts", (count, scene.contact.count), TABLE)
+    for name in HEALTH:
+        kind = "i8" if name == "steps" else "f8"
+        columns[f"health/{name}"] = file.create_dataset(f"health/{name}", (count,), kind)
+    return columns
+
+
+def _table(contacts, count):
+    table = contacts if isinstance(contacts, np.ndarray) else contact_table(contacts)
+    if len(table) != count:
+        raise InputError(
+            f"an interaction has {len(table)} contacts, and contact.count = {count}; give as many"
+        )
+    return table

@@ -28,7 +28,7 @@ HOURGLASS = np.array(
 )  # (4, 8) orthogonal to every linear field on a parallelepiped
 
 
-def shape_gradients(points):
+def shape_gradients(points: np.ndarray) -> np.ndarray:
     """dN_a/dxi_r at reference `points` (Q, 3): (Q, 3, 8)."""
     t = 1.0 + points[:, None, :] * CORNERS  # (Q, 8, 3)
     products = np.stack(
@@ -37,7 +37,7 @@ def shape_gradients(points):
     return CORNERS.T * products / 8.0
 
 
-def quad_shape(points):
+def quad_shape(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bilinear shape functions of a quadrilateral face at `points` (Q, 2) in [-1, 1]^2: (Q, 4), and
     gradients (Q, 2, 4)."""
     a, b = np.array([-1.0, 1.0, 1.0, -1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
@@ -45,7 +45,7 @@ def quad_shape(points):
     return s * t / 4.0, np.stack([a * t, b * s], axis=1) / 4.0
 
 
-def corner_jacobians(x):
+def corner_jacobians(x: np.ndarray) -> np.ndarray:
     """det dX_i/dxi_r at the corners of cells with nodes at x (3, 8, E): (8, E)."""
     along_x, along_y, along_z = (
         x[:, [1, 2, 5, 6]] - x[:, [0, 3, 4, 7]],
@@ -58,7 +58,13 @@ def corner_jacobians(x):
     return np.einsum("iae,iae->ae", along_x[:, [0, 0, 1, 1, 2, 2, 3, 3]], normal) / 8
 
 
-def jacobians(points, cells, where):
+def jacobians(points: np.ndarray, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
     """dX_i/dxi_r of cells (E, 8) with nodes at `points` (N, 3), at reference points `where` (Q, 3):
     (E, Q, 3, 3)."""
     return np.einsum("eai,qra->eqir", points[cells], shape_gradients(where))
+
+
+def gauss_volumes(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """(E, 8) volumes of the Gauss points of hexahedra with corners at `points` (N, 3), in their
+    unit cubed; their sum is exact for trilinear cells."""
+    return np.linalg.det(jacobians(points, cells, GAUSS))

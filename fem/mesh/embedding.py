@@ -19,6 +19,7 @@ from fem.errors import InputError
 from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.node_grid import turn
+from fem.online.grid import NodeGrid
 
 # s above; less would meet the mesh better and run wild beside it (measured on configs/lobe.toml)
 SMOOTHING = 1e-3
@@ -40,7 +41,7 @@ class Embedding:
     Raises InputError for a grid of fewer than 2 nodes along an axis.
     """
 
-    def __init__(self, mesh, shape=None):
+    def __init__(self, mesh: HexMesh, shape: tuple[int, int, int] | None = None) -> None:
         self.mesh = mesh
         self.turn = turn(_main_axis(mesh), np.eye(3))
         points = mesh.points @ self.turn.T  # (N, 3) along the grid's axes
@@ -51,7 +52,8 @@ class Embedding:
         self.shape = tuple(int(n) for n in shape)
         if min(self.shape) < 2:
             raise InputError(
-                f"mesh.grid = {list(self.shape)} must have at least 2 nodes along each axis; 17, 17, 8 is the paper's"
+                f"mesh.grid = {list(self.shape)} must have at least 2 nodes along each axis; 17,"
+                " 17, 8 is the paper's"
             )
         spacing = extent / (np.array(self.shape) - 1)
         places = (points - low) / spacing  # (N, 3) in cells of the grid
@@ -68,7 +70,7 @@ class Embedding:
         reach = (self.to_mesh_matrix != 0).T
         fixed = (reach @ mesh.fixed.astype(int) > 0) & (reach @ (~mesh.fixed).astype(int) == 0)
         kept = np.searchsorted(index, cells[np.sort(by_fill[:count])])
-        self.grid_mesh = HexMesh(grid_points @ self.turn, kept, fixed, self.shape, index)
+        self.grid_mesh = HexMesh(grid_points @ self.turn, kept, fixed, NodeGrid(self.shape, index))
         self._free = ~fixed
         self._rows = self.to_mesh_matrix[:, self._free]
         D = _second_differences(self.shape)[:, index]
@@ -84,7 +86,7 @@ class Embedding:
         )
         self._solve = scipy.sparse.linalg.factorized(normal.tocsc())
 
-    def displacement_to_grid(self, u):
+    def displacement_to_grid(self, u: np.ndarray) -> np.ndarray:
         """Values (..., N, 3) at the mesh's nodes as values (..., n, 3) at the nodes of grid_mesh,
         zero where it is fixed."""
         columns = np.moveaxis(u, -2, 0).reshape(u.shape[-2], -1)  # (N, ...*3)
@@ -92,11 +94,11 @@ class Embedding:
         grid[self._free] = self._solve(self._rows.T @ columns.astype(float))
         return self._back(grid, u)
 
-    def force_to_grid(self, f):
+    def force_to_grid(self, f: np.ndarray) -> np.ndarray:
         """Nodal forces (..., N, 3) of the mesh as nodal forces (..., n, 3) of grid_mesh: A^T f."""
         return self._back(self.to_mesh_matrix.T @ np.moveaxis(f, -2, 0).reshape(f.shape[-2], -1), f)
 
-    def to_mesh(self, grid):
+    def to_mesh(self, grid: np.ndarray) -> np.ndarray:
         """Values (..., n, 3) at the nodes of grid_mesh at the mesh's nodes: (..., N, 3)."""
         return self._back(
             self.to_mesh_matrix @ np.moveaxis(grid, -2, 0).reshape(grid.shape[-2], -1), grid
@@ -117,7 +119,8 @@ def _main_axis(mesh):
     axis[np.abs(area).argmax()] = np.sign(area[np.abs(area).argmax()])
     if not axis.any():
         raise InputError(
-            "the surface that can be pushed on faces all sides alike, and the grid needs one for its last layer; give mesh.loaded"
+            "the surface that can be pushed on faces all sides alike, and the grid needs one for"
+            " its last layer; give mesh.loaded"
         )
     return axis
 

@@ -7,15 +7,16 @@ import numpy as np
 
 from fem.errors import InputError
 from fem.mesh import element
+from fem.mesh.hexmesh import HexMesh
+from fem.online.grid import NodeGrid
 
 OPPOSITE = np.array(
     [[4, 7, 6, 5], [0, 1, 2, 3], [3, 2, 6, 7], [0, 3, 7, 4], [1, 0, 4, 5], [2, 1, 5, 6]]
 )  # (6, 4) across from FACES
 
 
-def node_grid(mesh):
-    """(shape (nx, ny, nz), index (N,) into it in C order) of the regular node grid that `mesh` lies
-    on, or None.
+def node_grid(mesh: HexMesh) -> NodeGrid | None:
+    """The regular node grid that `mesh` lies on, found in its connectivity, or None.
 
     Places (i, j, k) are found by walking from cell to cell through their faces, so curved and
     distorted blocks count, also with holes and steps. The third axis points out of the loaded
@@ -29,7 +30,8 @@ def node_grid(mesh):
     sides = np.unique(outward, axis=0)
     if len(sides) != 1:
         raise InputError(
-            f"the surface that can be pushed on lies on {len(sides)} sides of the mesh's node grid, and the networks need it on one:"
+            f"the surface that can be pushed on lies on {len(sides)} sides of the mesh's node"
+            " grid, and the networks need it on one:"
             " give mesh.loaded, such as 'z max', or more mesh.fixed"
         )
     slope = np.linalg.lstsq(
@@ -38,10 +40,10 @@ def node_grid(mesh):
     places = places @ turn(sides[0], slope).T
     places -= places.min(axis=0)
     shape = tuple(int(n) for n in places.max(axis=0) + 1)
-    return shape, np.ravel_multi_index(places.T, shape)
+    return NodeGrid(shape, np.ravel_multi_index(tuple(places.T), shape))
 
 
-def turn(outward, slope):
+def turn(outward: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """The rotation (3, 3) by quarter turns, places @ turn.T, that takes the axis `outward` to +k
     and keeps i near x, and j near y.
 

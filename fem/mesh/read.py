@@ -1,7 +1,6 @@
 """Hexahedral meshes from files (VTK, Gmsh, Abaqus and whatever else meshio reads)."""
 
 import contextlib
-import dataclasses
 import io
 import re
 from pathlib import Path
@@ -12,15 +11,22 @@ import scipy.sparse
 
 from fem.errors import InputError
 from fem.mesh.hexmesh import HexMesh
-from fem.mesh.select import select
+from fem.mesh.select import value_set
+
+MOST_VALUES = 256  # of a field in the file that is turned into sets, "marker = 3" and so on
 
 
-def read_mesh(path, scale=1.0, fixed=None, loaded=None):
+def read_mesh(
+    path: str | Path,
+    scale: float = 1.0,
+    fixed: str | None = None,
+    loaded: str | None = None,
+) -> HexMesh:
     """The HexMesh in the file at `path`, without a node grid; see fem.mesh.node_grid for that.
 
     scale: metres per unit of length in the file. fixed, loaded: selections (see fem.mesh.select) of
     the nodes that are held and of the surface that is pushed on; without `loaded`, that is every
-    boundary face that is not held.
+    boundary face that is not held. The names of the file become its node and cell sets.
 
     Cells keep the file's order, counted from 0 over its hexahedra. Points that no hexahedron uses
     are dropped; cells of lower dimension only serve to select. Nothing is repaired: raises
@@ -31,21 +37,22 @@ def read_mesh(path, scale=1.0, fixed=None, loaded=None):
     file = _read(path)
     try:
         cells, points = _hexahedra(file), file.points * float(scale)
-        used, place = np.unique(cells, return_inverse=True)
-        HexMesh(
-            points, cells, np.zeros(len(points), bool)
-        )  # so that an error names the file's own node numbers
-        mesh = HexMesh(points[used], place.reshape(-1, 8), np.zeros(len(used), bool))
-        names = _names(file, used)
-        mesh = dataclasses.replace(
-            mesh,
-            fixed=mesh.fixed if fixed is None else select(fixed, mesh, names, "mesh.fixed"),
-            loaded=None if loaded is None else select(loaded, mesh, names, "mesh.loaded"),
-        )
-        _check_held(mesh)
+        used = np.unique(cells)
+        # first with all points of the file, so that an error names its own node numbers
+        mesh = HexMesh(points, cells, np.zeros(len(points), bool))
+        node_sets, cell_sets = _sets(file)
+        mesh = HexMesh(
+            mesh.points[used],
+            np.searchsorted(used, cells),
+            mesh.fixed[used],
+            node_sets={name: own[used] for name, own in node_sets.items()},
+            cell_sets=cell_sets,
+        ).with_sets(fixed, loaded)
+        check_held(mesh)
         if not len(mesh.free_faces):
             raise InputError(
-                f"mesh.loaded = '{loaded}' holds no free boundary face, with all its four nodes selected and one of them not fixed"
+                f"mesh.loaded = '{loaded}' holds no free boundary face, with all its four nodes"
+                " selected and one of them not fixed"
             )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -59,7 +66,8 @@ def _read(path):
         raise InputError(f"no mesh file {path}; mesh.file is relative to the scene file")
     if path.suffix == ".vtu" and path.read_bytes().count(b"<Piece") > 1:
         raise InputError(
-            f"{path} has several pieces, of which meshio 5.3 reads one; merge them (ParaView: Merge Blocks) and save again"
+            f"{path} has several pieces, of which meshio 5.3 reads one; merge them (ParaView:"
+            " Merge Blocks) and save again"
         )
     said = io.StringIO()
     try:
@@ -71,7 +79,8 @@ def _read(path):
             said.getvalue() if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         )
         raise InputError(
-            f"{path} cannot be read as a mesh ({' '.join(words.split())}); save it as .vtu, .msh or .inp"
+            f"{path} cannot be read as a mesh ({' '.join(words.split())}); save it as .vtu, .msh"
+            " or .inp"
         ) from None
     unknown = re.search(r"cannot handle \(type (\d+)\)", said.getvalue())
     if unknown:
@@ -87,7 +96,8 @@ def _hexahedra(file):
     another type."""
     if file.points.ndim != 2 or file.points.shape[1] != 3:
         raise InputError(
-            f"the file's points have shape {file.points.shape}; a solid needs three coordinates each"
+            f"the file's points have shape {file.points.shape}; a solid needs three coordinates"
+            " each"
         )
     first = 0
     for block in file.cells:
@@ -99,7 +109,8 @@ def _hexahedra(file):
                 else "mesh it with hexahedra"
             )
             raise InputError(
-                f"cell {first} of the file (nodes {nodes}) is a {block.type}, one of {len(block.data)}; the solver takes 8-node hexahedra only: {remedy}"
+                f"cell {first} of the file (nodes {nodes}) is a {block.type}, one of"
+                f" {len(block.data)}; the solver takes 8-node hexahedra only: {remedy}"
             )
         first += len(block.data)
     blocks = [np.asarray(block.data) for block in file.cells if block.type == "hexahedron"]
@@ -113,63 +124,80 @@ def _hexahedra(file):
     wrong = np.flatnonzero(((cells < 0) | (cells >= len(file.points))).any(axis=1))
     if wrong.size:
         raise InputError(
-            f"cell {wrong[0]} uses nodes {cells[wrong[0]].tolist()}, but the file has {len(file.points)} points; it is damaged"
+            f"cell {wrong[0]} uses nodes {cells[wrong[0]].tolist()}, but the file has"
+            f" {len(file.points)} points; it is damaged"
         )
     return cells
 
 
-def _names(file, used):
-    """{name: nodes}: nodes(test) gives the (N,) bool nodes, among `used`, whose values under that
-    name pass `test`."""
-    points = np.arange(len(file.points))
-    names = {}
+def _sets(file):
+    """({name: (P,) bool}, {name: (E,) bool}): the points and the hexahedra of the file under each
+    of its names.
 
-    def by_points(values):
-        return lambda test: test(np.asarray(values))[used]
+    A name is that of a point or cell set, a Gmsh 2 physical group, or data of points or cells (not
+    zero); data of few values have sets for each value too. A cell of any kind has all its points.
+    """
+    node_sets, cell_sets = {}, {}
 
-    def by_cells(blocks):  # one array of values a block; a node belongs to every cell around it
+    def points(name, chosen):
+        node_sets.setdefault(name, chosen)
 
-        def nodes(test):
-            chosen = [
-                block.data[test(np.asarray(own))].ravel() for block, own in zip(file.cells, blocks)
-            ]
-            return np.isin(points, np.concatenate(chosen))[used]
-
-        return nodes
+    def cells(name, chosen):  # one array of bool a block of cells
+        if name in node_sets:
+            return
+        rows = [
+            np.asarray(block.data)[own].ravel()
+            for block, own in zip(file.cells, chosen, strict=True)
+        ]
+        node_sets[name] = np.isin(np.arange(len(file.points)), np.concatenate(rows))
+        solid = [
+            own for block, own in zip(file.cells, chosen, strict=True) if block.type == "hexahedron"
+        ]
+        cell_sets[name] = np.concatenate(solid)
 
     for name, rows in file.point_sets.items():
-        names[name] = by_points(np.isin(points, rows))
+        points(name, np.isin(np.arange(len(file.points)), rows))
     for name, rows in file.cell_sets.items():
         if name != "gmsh:bounding_entities":  # meshio's own bookkeeping
-            names.setdefault(
+            cells(
                 name,
-                by_cells(
-                    [
-                        np.isin(np.arange(len(block.data)), own)
-                        for block, own in zip(file.cells, rows)
-                    ]
-                ),
+                [
+                    np.isin(np.arange(len(block.data)), own)
+                    for block, own in zip(file.cells, rows, strict=True)
+                ],
             )
-    for (
-        name,
-        group,
-    ) in file.field_data.items():  # Gmsh 2 has its physical groups as (tag, dimension)
-        if "gmsh:physical" in file.cell_data and np.size(group) == 2:
-            tag, dimension = np.ravel(group)
-            tags = zip(file.cells, file.cell_data["gmsh:physical"])
-            names.setdefault(
-                name, by_cells([(own == tag) & (block.dim == dimension) for block, own in tags])
-            )
+    for name, chosen in _physical_groups(file):
+        cells(name, chosen)
     for name, values in file.point_data.items():
         if np.ndim(values) == 1:
-            names.setdefault(name, by_points(values))
+            points(name, np.asarray(values) != 0)
+            for value in _few_values([values]):
+                points(value_set(name, value), np.asarray(values) == value)
     for name, blocks in file.cell_data.items():
         if all(np.ndim(own) == 1 for own in blocks):
-            names.setdefault(name, by_cells(blocks))
-    return names
+            cells(name, [np.asarray(own) != 0 for own in blocks])
+            for value in _few_values(blocks):
+                cells(value_set(name, value), [np.asarray(own) == value for own in blocks])
+    return node_sets, cell_sets
 
 
-def _check_held(mesh):
+def _physical_groups(file):
+    """(name, [chosen cells of each block]) of the physical groups of Gmsh 2, which meshio has as
+    (tag, dimension)."""
+    for name, group in file.field_data.items():
+        if "gmsh:physical" in file.cell_data and np.size(group) == 2:
+            tag, dimension = np.ravel(group)
+            tags = zip(file.cells, file.cell_data["gmsh:physical"], strict=True)
+            yield name, [(np.asarray(own) == tag) & (block.dim == dimension) for block, own in tags]
+
+
+def _few_values(arrays):
+    """The values of some data, none of them if they are many: such a field marks no parts."""
+    values = np.unique(np.concatenate([np.ravel(own) for own in arrays]))
+    return values if len(values) <= MOST_VALUES else ()
+
+
+def check_held(mesh: HexMesh) -> None:
     """Raises InputError if a connected part of the mesh has no fixed node: it would fly away."""
     corner = np.repeat(mesh.cells[:, :1], 8, axis=1).ravel()
     graph = scipy.sparse.coo_matrix(
@@ -182,8 +210,10 @@ def _check_held(mesh):
         where = (
             "the mesh"
             if parts == 1
-            else f"a part of {len(cells)} cells (cell {cells[0]} is one; the mesh has {parts} parts)"
+            else f"a part of {len(cells)} cells (cell {cells[0]} is one; the mesh has {parts}"
+            " parts)"
         )
         raise InputError(
-            f"{where} has no fixed node and would fly away; give mesh.fixed, such as 'z min', or merge the file's duplicate nodes"
+            f"{where} has no fixed node and would fly away; give mesh.fixed, such as 'z min', or"
+            " merge the file's duplicate nodes"
         )

@@ -1,67 +1,122 @@
-"""Meshes of cubes: boxes, voxels and the tumour."""
+"""Meshes of cubes, boxes, voxels and the tumour, and any mesh with its cells cut into eight."""
 
 import numpy as np
 
 from fem.errors import InputError
 from fem.mesh import element
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, outer_faces
+from fem.online.grid import NodeGrid
 
 TUMOUR_EDGE = (
     0.5087e-3  # m: 1314 cubes of this edge make 173.0 mm3, so that 7 % is the paper's 12.1 mm3
 )
+TUMOUR_CELLS = (16, 16, 7)  # of the block that the tumour is cut from
+UNIT = ((element.CORNERS + 1) / 2).astype(int)  # (8, 3) corners of a cell from 0 to 1
+CUTS = np.indices((3, 3, 3)).reshape(3, -1).T - 1  # (27, 3) corners of its eight parts, -1 to 1
+PARTS = np.ravel_multi_index(np.moveaxis(UNIT[:, None] + UNIT, -1, 0), (3, 3, 3))  # (8, 8) of CUTS
+SIDES = np.array(
+    [
+        np.flatnonzero(CUTS @ normal == 1)
+        for normal in np.rint(element.CORNERS[element.FACES].mean(axis=1)).astype(int)
+    ]
+)  # (6, 9) of CUTS, on each face
 
 
-def from_voxels(keep, edge, fixed):
-    """Cubes of `edge` m where `keep` (ex, ey, ez) is true, with the nodes that they use; `fixed` as
-    in `box`."""
+def from_voxels(keep: np.ndarray, edge: float, fixed: str) -> HexMesh:
+    """Cubes of `edge` m where `keep` (ex, ey, ez) is true, with the nodes that they use.
+
+    Its node sets `top` and `bottom` are the highest and lowest nodes; fixed: as in `box`.
+    """
     shape = tuple(n + 1 for n in keep.shape)
     number = np.arange(np.prod(shape)).reshape(shape)
-    offsets = ((element.CORNERS + 1) / 2).astype(int)  # (8, 3)
     cells = np.stack(
         [
-            number[tuple(slice(o, o + n) for o, n in zip(offset, keep.shape))][keep]
-            for offset in offsets
+            number[tuple(slice(o, o + n) for o, n in zip(offset, keep.shape, strict=True))][keep]
+            for offset in UNIT
         ],
         axis=1,
     )
-    grid_index, inverse = np.unique(cells, return_inverse=True)
-    points = np.stack(np.unravel_index(grid_index, shape), axis=1) * float(edge)
-    cells = inverse.reshape(cells.shape)
-    held = np.zeros(len(points), bool)
-    mesh = HexMesh(points, cells, held, shape, grid_index)
-    if fixed != "none":
-        faces = mesh.boundary_faces
-        z = points[faces, 2]
-        moving = (
-            (z == points[:, 2].max()).all(axis=1)
-            if fixed == "all but top"
-            else (z != points[:, 2].min()).any(axis=1)
-        )
-        held[faces[~moving]] = True
-    return mesh
+    index, inverse = np.unique(cells, return_inverse=True)
+    places = np.stack(np.unravel_index(index, shape), axis=1)
+    sides = {
+        name: places[:, 2] == layer
+        for name, layer in (("top", places[:, 2].max()), ("bottom", places[:, 2].min()))
+    }
+    mesh = HexMesh(
+        places * float(edge),
+        inverse.reshape(cells.shape),
+        np.zeros(len(index), bool),
+        NodeGrid(shape, index),
+        node_sets=sides,
+    )
+    return mesh if fixed == "none" else mesh.with_sets(fixed=fixed)
 
 
-def box(cells, edge, fixed="all but top"):
+def box(cells: tuple[int, int, int], edge: float, fixed: str = "all but top") -> HexMesh:
     """A block of cells = (ex, ey, ez) cubes of `edge` m.
 
-    fixed: "all but top" (bottom and sides), "bottom" or "none".
+    fixed: "all but top" (bottom and sides), "bottom", "none", or another selection of
+    fem.mesh.select.
     """
     if min(cells) < 1 or edge <= 0:
         raise InputError(
             f"a box of {tuple(cells)} cells of edge {edge} m is empty; both must be positive"
         )
-    if fixed not in ("all but top", "bottom", "none"):
-        raise InputError(f"fixed = '{fixed}' is not one of 'all but top', 'bottom', 'none'")
     return from_voxels(np.ones(tuple(cells), bool), edge, fixed)
 
 
-def tumour(edge=TUMOUR_EDGE):
+def tumour(edge: float = TUMOUR_EDGE) -> HexMesh:
     """The paper's tumour: 1782 nodes and 1314 cubes on a 17 x 17 x 8 node grid, top free, all else
     fixed.
 
     A truncated ellipsoid reproduces both counts of arXiv 2301.04614; the shape itself is not
     published.
     """
-    x, y, z = np.meshgrid(*(np.arange(n) + 0.5 for n in (16, 16, 7)), indexing="ij")
+    x, y, z = np.meshgrid(*(np.arange(n) + 0.5 for n in TUMOUR_CELLS), indexing="ij")
     keep = ((x - 8.1) ** 2 + (y - 8.0) ** 2) / 8.0**2 + ((z - 5.5) / 7.0) ** 2 <= 1.10181442
     return from_voxels(keep, edge, "all but top")
+
+
+def refined(mesh: HexMesh) -> HexMesh:
+    """`mesh` with every cell cut into eight; on its node grid the old nodes are every second one.
+
+    A new node belongs to a node set if all the old ones around it do; it is held, or loaded, if it
+    lies on an old boundary face whose nodes all are.
+    """
+    weights = np.prod(1 + CUTS[:, None] * element.CORNERS, axis=2) / 8  # (27, 8)
+    around = np.where(weights > 0, mesh.cells[:, None], -1)  # (E, 27, 8) old nodes around the new
+    _, first, new = np.unique(
+        np.sort(around, axis=2).reshape(-1, 8), axis=0, return_index=True, return_inverse=True
+    )
+    new = new.reshape(-1, len(CUTS))  # (E, 27)
+    old = around.reshape(-1, 8)[first]  # (n, 8)
+    cell, cut = np.divmod(first, len(CUTS))
+    outer = np.unravel_index(outer_faces(mesh.cells), (mesh.n_cells, 6))
+
+    def interpolated(values):  # (N, 3) to (n, 3)
+        return np.einsum("na,nai->ni", weights[cut], values[mesh.cells[cell]])
+
+    def in_set(chosen):
+        return (chosen[old] | (old < 0)).all(axis=1)
+
+    def on_surface(chosen):
+        faces = chosen[mesh.cells[:, element.FACES][outer]].all(axis=1)
+        found = in_set(chosen) & ((old >= 0).sum(axis=1) == 1)  # the old nodes
+        found[new[outer[0][faces, None], SIDES[outer[1][faces]]]] = True
+        return found
+
+    grid = None
+    if mesh.grid is not None:
+        places = np.stack(np.unravel_index(mesh.grid.index, mesh.grid.shape), axis=1)
+        shape = tuple(2 * n - 1 for n in mesh.grid.shape)
+        at = np.rint(2 * interpolated(places)).astype(int)
+        grid = NodeGrid(shape, np.ravel_multi_index(tuple(at.T), shape))
+    return HexMesh(
+        interpolated(mesh.points),
+        new[:, PARTS].reshape(-1, 8),
+        on_surface(mesh.fixed),
+        grid,
+        None if mesh.loaded is None else on_surface(mesh.loaded),
+        {name: in_set(chosen) for name, chosen in mesh.node_sets.items()},
+        {name: np.repeat(chosen, 8) for name, chosen in mesh.cell_sets.items()},
+    )

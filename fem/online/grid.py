@@ -5,6 +5,7 @@ change of axes stand here and nowhere else.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,16 +20,57 @@ class NodeGrid:
     """The regular node grid of a mesh.
 
     shape: (nx, ny, nz) nodes; index: (N,) place of each mesh node in it, C order: node (i, j, k) is
-    at (i * ny + j) * nz + k.
+    at (i * ny + j) * nz + k. Raises InputError for places outside the grid, or taken twice.
     """
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     index: np.ndarray
+
+    def __post_init__(self) -> None:
+        shape, index = tuple(int(n) for n in self.shape), np.array(self.index)
+        if len(shape) != 3 or min(shape) < 1:
+            raise InputError(f"a node grid of shape {shape} needs three positive numbers of nodes")
+        if index.ndim != 1 or index.dtype.kind not in "iu":
+            raise InputError(
+                f"the node grid's index is {index.dtype} of shape {index.shape};"
+                " give one whole number a node"
+            )
+        outside = index[(index < 0) | (index >= np.prod(shape))]
+        if outside.size:
+            raise InputError(
+                f"the node grid's index holds {outside[0]}, but a grid {shape} has the places"
+                f" 0 to {np.prod(shape) - 1}"
+            )
+        if len(np.unique(index)) != len(index):
+            place, count = np.unique(index, return_counts=True)
+            raise InputError(
+                f"the node grid's index holds {place[count > 1][0]} twice; give each node a place"
+                " of its own"
+            )
+        index = index.astype(np.intp)
+        index.flags.writeable = False
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "index", index)
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, NodeGrid)
+            and self.shape == other.shape
+            and np.array_equal(self.index, other.index)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.shape, self.index.tobytes()))
 
     @property
     def n_nodes(self) -> int:
         """Nodes of the mesh."""
         return len(self.index)
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """(nx, ny, nz) bool: the places that a node takes."""
+        return self.to_grid(np.ones((self.n_nodes, 1), bool))[..., 0]
 
     def to_grid(self, values: np.ndarray) -> np.ndarray:
         """(..., N, C) nodal values as (..., nx, ny, nz, C), zero where there is no node."""
@@ -42,7 +84,8 @@ class NodeGrid:
         """(..., nx, ny, nz, C) values on the grid at the mesh's nodes: (..., N, C)."""
         if grid.shape[-4:-1] != tuple(self.shape):
             raise InputError(
-                f"a field on the grid {grid.shape[-4:-1]} does not fit this mesh's grid {self.shape}"
+                f"a field on the grid {grid.shape[-4:-1]} does not fit this mesh's grid"
+                f" {self.shape}"
             )
         return grid.reshape(*grid.shape[:-4], -1, grid.shape[-1])[..., self.index, :]
 

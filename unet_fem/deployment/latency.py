@@ -53,7 +53,7 @@ def network_actions(settings, dataset, threads=1):
 
     files = lite_files(settings)
     model = load_model(settings.folder / "best.keras")
-    force = dataset.read("test")["force"][:1]
+    force = dataset.read("test", ("force",), [1])["force"]
     window = windows(force, settings.model.window)[-1:]
     graph = tf.function(lambda x: model(x, training=False))
     actions = {
@@ -98,7 +98,7 @@ def fem_action(dataset, kind):
     """FRAME seconds of the dataset's tissue in float32 elements of `kind`, at its stable step and
     true mass, from the state before."""
     scene = dataset.scene
-    mesh = scene.mesh.build()
+    mesh = dataset.fem_mesh
     load = np.zeros((3, mesh.n_nodes))
     top = np.unique(mesh.free_faces)
     load[2, top] = -1e-3 / len(top)

@@ -97,7 +97,7 @@ def judge_extremes(models, dataset, steps):
     from unet_fem.training.losses import deformed_volume
 
     mesh = dataset.fem_mesh
-    rest = dataset.mesh.volume()
+    rest = dataset.rest_volume
     result = {}
     for case, load in extreme_loads(mesh, dataset.scene.contact).items():
         try:

@@ -146,7 +146,7 @@ def test_interactions(dataset, samples, predictions):
         return np.array([values[samples.interaction == number].max() for number in numbers])
 
     force = np.linalg.norm(samples.last_force, axis=-1).sum(axis=(1, 2, 3))
-    rest = dataset.mesh.volume()
+    rest = dataset.rest_volume
     violations = {"FEM": largest(np.abs(samples.volume / samples.volume[0] - 1))}
     violations |= {
         name: largest(np.abs(volume / rest - 1)) for name, (_, volume) in predictions.items()

@@ -40,7 +40,7 @@ def error_metrics(prediction, samples, dataset, volume):
 
 
 def rest_volume(dataset):
-    return dataset.mesh.volume()
+    return dataset.rest_volume
 
 
 def predict(model, samples, dataset):

@@ -218,7 +218,7 @@ def surface_rim(mesh):
 
 def test_same_seed_same_contacts(surface):
     """The draw depends on the generator alone; another seed gives other contacts."""
-    for a, b in zip(many_draws(surface, n=5), many_draws(surface, n=5)):
+    for a, b in zip(many_draws(surface, n=5), many_draws(surface, n=5), strict=True):
         assert repr(a) == repr(b)
     assert repr(many_draws(surface, n=2)[0]) != repr(many_draws(surface, n=2)[1])
 

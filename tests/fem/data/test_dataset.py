@@ -7,6 +7,7 @@ import re
 import shutil
 
 import h5py
+import meshio
 import numpy as np
 import pytest
 
@@ -14,12 +15,15 @@ from fem import settings as config
 from fem.contact.draw import draw_contacts
 from fem.contact.push import Load
 from fem.contact.surface import Surface
-from fem.data.dataset import FORMAT, open_dataset
+from fem.data import dataset as dataset_module
+from fem.data.build import generate
+from fem.data.dataset import FIRST_FORMAT, FORMAT, open_dataset
 from fem.data.interaction import healthy_interaction, unfit
-from fem.data.scene import SPLITS, Scene
+from fem.data.scene import SPLITS, MeshChoice, Scene
 from fem.data.write import HEALTH, write_dataset
 from fem.errors import InputError
-from fem.mesh.shapes import tumour
+from fem.mesh.hexmesh import HexMesh
+from fem.mesh.shapes import box, tumour
 
 GRID = (5, 5, 3)
 
@@ -40,6 +44,7 @@ def test_schema(tiny, tiny_dataset):
         assert {name: file[name].attrs["unit"] for name in units} == units
         assert file["force"].shape == file["displacement"].shape == (4, 3, *GRID, 3)
         assert file["force"].dtype == file["displacement"].dtype == np.float32
+        assert file["contacts"].shape == (4, 2)
         assert file["volume"].shape == (4, 3) and file["mask"].shape == file["fixed"].shape == GRID
         assert all(file[f"health/{name}"].shape == (4,) for name in HEALTH)
         assert np.allclose(file["time"], [0, 0.2, 0.4])
@@ -50,7 +55,7 @@ def test_schema(tiny, tiny_dataset):
 
 
 def test_dataset_gives_back_scene_and_mesh(tiny, tiny_dataset):
-    """An opened dataset holds the scene that made it, and the mesh in mm with its cells and held
+    """An opened dataset holds the scene that made it, and the mesh with its cells and held
     nodes."""
     dataset, scene = open_dataset(tiny_dataset), config.build(Scene, tiny)
     mesh = scene.mesh.build()
@@ -59,7 +64,8 @@ def test_dataset_gives_back_scene_and_mesh(tiny, tiny_dataset):
     assert np.array_equal(dataset.mesh.cells, mesh.cells) and np.array_equal(
         dataset.mesh.fixed, mesh.fixed
     )
-    assert np.allclose(dataset.mesh.points, mesh.points * 1e3, rtol=1e-6)
+    assert np.allclose(dataset.mesh.points, mesh.points, rtol=1e-12)
+    assert dataset.fem_mesh == mesh
 
 
 def test_mesh_with_holes_in_its_grid_comes_back(tiny, tmp_path):
@@ -75,9 +81,9 @@ def test_mesh_with_holes_in_its_grid_comes_back(tiny, tmp_path):
     dataset = open_dataset(tmp_path / "a.h5")
     assert dataset.mask.sum() == 1782
     assert np.array_equal(dataset.mesh.cells, mesh.cells) and np.array_equal(
-        dataset.mesh.grid_index, mesh.grid_index
+        dataset.mesh.grid.index, mesh.grid.index
     )
-    assert dataset.mesh.volume() == pytest.approx(mesh.volume() * 1e9, rel=1e-6)
+    assert dataset.rest_volume == pytest.approx(mesh.volume() * 1e9, rel=1e-12)
     assert not dataset.read("train")["displacement"][:, :, ~dataset.mask].any()
 
 
@@ -87,8 +93,8 @@ def test_volume_is_that_of_the_displaced_mesh(tiny_dataset):
     dataset = open_dataset(tiny_dataset)
     for split in SPLITS:
         fields = dataset.read(split)
-        u = dataset.mesh.from_grid(fields["displacement"]).astype(float)
-        volume = [[dataset.mesh.volume(frame) for frame in sequence] for sequence in u]
+        u = 1e-3 * dataset.mesh.grid.from_grid(fields["displacement"]).astype(float)
+        volume = [[1e9 * dataset.mesh.volume(frame) for frame in sequence] for sequence in u]
         assert np.allclose(fields["volume"], volume, rtol=1e-6)
         assert np.allclose(fields["volume"][:, 0], 4 * 4 * 2, rtol=1e-9)
 
@@ -111,7 +117,9 @@ def test_force_is_the_drawn_contacts(tiny, tiny_dataset):
             surface, scene.contact, scene.frames.duration, np.random.default_rng([1, 0, number, 0])
         )
         force = np.stack([Load(surface, contacts)(t).T for t in scene.frames.times]) * 1e3
-        assert np.allclose(dataset.mesh.from_grid(fields["force"][i]), force, rtol=1e-6, atol=1e-12)
+        assert np.allclose(
+            dataset.mesh.grid.from_grid(fields["force"][i]), force, rtol=1e-6, atol=1e-12
+        )
 
 
 def test_written_interactions_are_healthy(tiny, tiny_dataset):
@@ -168,7 +176,8 @@ def test_a_scene_without_fit_draws_is_refused(tiny):
     )
     with pytest.raises(
         InputError,
-        match=r"train interaction 1 was unfit in all 20 draws \(crushed cell 20\); lower contact.force",
+        match=r"train interaction 1 was unfit in all 20 draws \(crushed cell 20\);"
+        " lower contact.force",
     ):
         healthy_interaction(scene, scene.mesh.build(), "train", 1)
 
@@ -224,6 +233,19 @@ def put_nan(file, name):
     file[name][0, 1] = np.nan
 
 
+def put(file, name, values):
+    del file[name]
+    file[name] = values
+
+
+def drop_last(file, name):
+    put(file, name, file[name][..., :-1])
+
+
+def as_text(file, name):
+    put(file, name, file[name][()].astype("S8"))
+
+
 def garble_chunk(path):
     with h5py.File(path) as file:
         place = file["displacement"].id.get_chunk_info(0)
@@ -239,9 +261,14 @@ def garble_chunk(path):
         (empty, "cannot be read as HDF5"),
         (cut_in_half, "cannot be read as HDF5 .*truncated"),
         (overwrite_with_text, "cannot be read as HDF5"),
-        (change("format", other_format), "is not a 'unet-fem dataset 1' file"),
+        (change("format", other_format), "is not a 'unet-fem dataset 2' file"),
         (change("mask", delete), "is damaged"),
-        (change("split", delete), "is damaged"),
+        (change("split", delete), "is damaged: it has no 'split'"),
+        (change("force", delete), "is damaged: it has no 'force'"),
+        (change("points", drop_last), r"'points' is float64 of shape \(5, 5, 3, 2\), not of shape"),
+        (change("displacement", drop_last), r"'displacement' is float32 of shape \(.*, 2\), not"),
+        (change("volume", as_text), "'volume' is .* of shape"),
+        (change("mesh/fixed", drop_last), r"'mesh/fixed' is bool of shape \(74,\), not of shape"),
         (change("displacement", put_nan), "not finite in displacement"),
         (change("volume", put_nan), "not finite in volume"),
         (garble_chunk, "generate it again"),
@@ -265,3 +292,116 @@ def test_unknown_split_is_refused(tiny_dataset):
     """A misspelt split is an InputError that lists the right ones."""
     with pytest.raises(InputError, match="split 'valid' is not one of train, validation, test"):
         open_dataset(tiny_dataset).read("valid")
+
+
+def test_parts_of_a_split_are_read_alone(tiny_dataset, monkeypatch):
+    """Chosen fields and numbers equal those of the whole split, in the order asked for; nothing
+    else is loaded."""
+    dataset = open_dataset(tiny_dataset)
+    whole = dataset.read("train")
+    loaded = []
+    read = h5py.Dataset.__getitem__
+    monkeypatch.setattr(
+        h5py.Dataset, "__getitem__", lambda self, at: loaded.append(self.name) or read(self, at)
+    )
+    one = dataset.read("train", ["force"], [2])
+    assert loaded == ["/force"] and one.keys() == {"force", "hard", "number"}
+    assert np.array_equal(one["force"], whole["force"][1:]) and one["number"].tolist() == [2]
+    turned = dataset.read("train", numbers=[2, 1])
+    assert all(np.array_equal(turned[name], whole[name][::-1]) for name in whole)
+    for wrong, named in (
+        ({"fields": ("strain",)}, "strain"),
+        ({"fields": "force"}, "'force'"),
+        ({"numbers": [3]}, "no train interaction 3"),
+    ):
+        with pytest.raises(InputError, match=named):
+            dataset.read("train", **wrong)
+
+
+def test_the_file_keeps_the_contacts(tiny, tiny_dataset, monkeypatch):
+    """Those that were drawn come back to the bit, also after rejected draws, and are not drawn
+    again."""
+    scene, dataset = config.build(Scene, tiny), open_dataset(tiny_dataset)
+    monkeypatch.setattr(dataset_module, "contacts_of", None)
+    for split, number in scene.interactions.all():
+        contacts = dataset.contacts(split, number)
+        load, force = Load(Surface(dataset.fem_mesh), contacts), dataset.sequence(split, number)
+        for t, frame in zip(dataset.time, force.force, strict=True):
+            assert np.array_equal((load(t).T * 1e3).astype(np.float32), frame)
+    with pytest.raises(InputError, match="no test interaction 2; it has"):
+        dataset.contacts("test", 2)
+
+
+def as_first_format(path, mesh):
+    """Turn a file into one of the first format: no contacts, and no mesh beside the grid."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["format"] = FIRST_FORMAT
+        del file["contacts"]
+        if mesh.grid is not None:
+            del file["mesh"]
+            if mesh.loaded is not None:
+                file["loaded"] = mesh.grid.to_grid(mesh.loaded[:, None])[..., 0]
+        else:
+            put(file["mesh"], "points", mesh.points * 1e3)
+            for name in set(file["mesh"]) & {"node_sets", "cell_sets"}:
+                del file["mesh"][name]
+
+
+def ring():
+    """A closed ring of hexahedra, which lies on no node grid, pushed on from above."""
+    strip = box((12, 2, 2), 1.0, "none")
+    i, j, k = np.round(strip.points).astype(int).T
+    same, first, place = np.unique(
+        ((i % 12) * 3 + j) * 3 + k, return_index=True, return_inverse=True
+    )
+    angle, radius = 2 * np.pi * i / 12, 3e-3 + 1e-3 * j
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), 1e-3 * k], axis=1)[first]
+    cells = place[strip.cells][:, [3, 2, 1, 0, 7, 6, 5, 4]]
+    mesh = HexMesh(points, cells, np.zeros(len(same), bool))
+    return mesh.with_sets(fixed="z min", loaded="z max", right="x > 0", half=np.arange(48) < 24)
+
+
+@pytest.mark.parametrize("own_grid", [True, False], ids=["on its grid", "embedded"])
+def test_a_scene_takes_a_mesh_as_it_is(tiny, tmp_path, own_grid):
+    """A scene with a ready HexMesh gives a dataset that holds the mesh whole, sets and all, and
+    opens without it; a file of the first format gives the same but for rounding."""
+    mesh = ring() if not own_grid else box((4, 4, 2), 1e-3).with_sets(loaded="top", side="x max")
+    given = dataclasses.replace(mesh, grid=None)  # it is found again
+    scene = config.build(Scene, config.merge(tiny, {"health": {"min_J": 0.2}})).with_mesh(given)
+    scene = dataclasses.replace(scene, contact=dataclasses.replace(scene.contact, cone=0.0))
+    assert scene.mesh.build().grid == mesh.grid and scene == scene.with_mesh(mesh)
+    assert scene.digest() != scene.with_mesh(mesh.with_sets(loaded="z max, x max")).digest()
+    generate(scene, tmp_path / "a.h5", workers=1)
+    dataset = open_dataset(tmp_path / "a.h5")
+    assert dataset.fem_mesh == mesh and dataset.scene == scene
+    assert dataset.scene.digest() == scene.digest() and (dataset.embedding is None) == own_grid
+    with pytest.raises(InputError, match="scene.with_mesh"):
+        dataset.scene.mesh.build()
+    assert dataset.scene.with_mesh(dataset.fem_mesh).mesh.build() == mesh
+    as_first_format(shutil.copy(tmp_path / "a.h5", tmp_path / "old.h5"), mesh)
+    old = open_dataset(tmp_path / "old.h5")
+    assert np.allclose(old.fem_mesh.points, mesh.points, rtol=1e-15, atol=0)
+    assert np.array_equal(old.fem_mesh.free_faces, mesh.free_faces)
+    for which in scene.interactions.all():
+        assert np.array_equal(old.sequence(*which).force, dataset.sequence(*which).force)
+        for one, other in zip(old.contacts(*which), dataset.contacts(*which), strict=True):
+            assert one.peak == other.peak and np.allclose(one.end, other.end, rtol=0, atol=1e-15)
+
+
+def test_a_dataset_does_without_its_mesh_file(tiny, tmp_path):
+    """The mesh of a scene from a file is read from the dataset when the file is gone."""
+    block = box((4, 4, 2), 1.0, "none")
+    path = tmp_path / "block.vtu"
+    meshio.Mesh(block.points, [("hexahedron", block.cells)]).write(path)
+    choice = MeshChoice(file=path.name, scale=1e-3, fixed="all but z max").located(tmp_path)
+    scene = dataclasses.replace(config.build(Scene, tiny), mesh=choice)
+    assert dataclasses.replace(choice, loaded="z max").build().n_cells == 32  # knows its folder
+    generate(scene, tmp_path / "a.h5", workers=1)
+    mesh = scene.mesh.build()
+    path.unlink()
+    dataset = open_dataset(tmp_path / "a.h5")
+    assert dataset.fem_mesh == mesh
+    with pytest.raises(InputError, match="no mesh file block.vtu.*dataset.fem_mesh"):
+        dataset.scene.mesh.build()
+    load = np.zeros((3, mesh.n_nodes))
+    dataset.scene.build_solver(dataset.fem_mesh).advance(1e-3, lambda t: load)

@@ -84,12 +84,12 @@ def test_an_exported_sequence_opens_again_with_its_values_and_times(dataset, tmp
     )
     for frame, entry in enumerate(entries):
         file = meshio.read(tmp_path / "out" / entry.get("file"))
-        assert np.array_equal(file.points, sequence.mesh.points) and len(file.points) == 75
+        assert np.array_equal(file.points, sequence.mesh.points * 1e3) and len(file.points) == 75
         assert np.array_equal(file.cells_dict["hexahedron"], sequence.mesh.cells)
         assert np.array_equal(file.point_data["displacement"], sequence.displacement[frame])
         assert np.array_equal(file.point_data["force"], sequence.force[frame])
         assert np.array_equal(file.point_data["fixed"], sequence.mesh.fixed)
-        moved = sequence.mesh.volume(sequence.displacement[frame].astype(float))
+        moved = 1e9 * sequence.mesh.volume(1e-3 * sequence.displacement[frame].astype(float))
         assert np.mean(file.cell_data["J"][0]) == pytest.approx(
             moved / 32.0, rel=1e-9
         )  # all 32 cells have 1 mm3

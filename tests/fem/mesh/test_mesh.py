@@ -1,15 +1,19 @@
-"""Meshes: the counts and volume of the paper, orientation, and the node grid."""
+"""Meshes: the counts and volume of the paper, orientation, what is refused, sets, refinement, and
+the node grid."""
 
 import dataclasses
+import doctest
+import pickle
 import re
 
 import numpy as np
 import pytest
 
 from fem.errors import InputError
-from fem.mesh import element
+from fem.mesh import element, hexmesh
 from fem.mesh.hexmesh import HexMesh
-from fem.mesh.shapes import box, tumour
+from fem.mesh.shapes import box, from_voxels, refined, tumour
+from fem.online.grid import NodeGrid
 
 EDGE = 1e-3  # m
 
@@ -28,7 +32,7 @@ def surface_volume(mesh):
 def test_tumour_has_the_counts_and_volume_of_the_paper():
     """The tumour has 1782 nodes, 1314 hexahedra and 173.0 mm3 on a 17 x 17 x 8 node grid."""
     mesh = tumour()
-    assert (mesh.n_nodes, mesh.n_cells, mesh.grid_shape) == (1782, 1314, (17, 17, 8))
+    assert (mesh.n_nodes, mesh.n_cells, mesh.grid.shape) == (1782, 1314, (17, 17, 8))
     assert mesh.volume() * 1e9 == pytest.approx(173.0, abs=0.05)
     assert 0.07 * mesh.volume() * 1e9 == pytest.approx(12.1, abs=0.05)
     assert mesh.congruent
@@ -71,9 +75,9 @@ def test_grid_round_trip(make):
     material."""
     mesh = make()
     values = np.random.default_rng(0).normal(size=(2, mesh.n_nodes, 3))
-    grid = mesh.to_grid(values)
-    assert grid.shape == (2, *mesh.grid_shape, 3)
-    assert np.array_equal(mesh.from_grid(grid), values)
+    grid = mesh.grid.to_grid(values)
+    assert grid.shape == (2, *mesh.grid.shape, 3)
+    assert np.array_equal(mesh.grid.from_grid(grid), values)
     assert np.count_nonzero(grid) == values.size
 
 
@@ -81,18 +85,16 @@ def test_grid_places_nodes_by_position():
     """Grid entry [i, j, k] belongs to the node at (i, j, k) edges, z up: pooling anchored on top
     stays on top."""
     mesh = tumour(edge=1.0)
-    i, j, k = np.round(np.moveaxis(mesh.to_grid(mesh.points), -1, 0)).astype(int)
-    mask = mesh.to_grid(np.ones((mesh.n_nodes, 1)))[..., 0] > 0
+    i, j, k = np.round(np.moveaxis(mesh.grid.to_grid(mesh.points), -1, 0)).astype(int)
+    mask = mesh.grid.mask
     assert np.array_equal(np.argwhere(mask), np.stack([i[mask], j[mask], k[mask]], axis=1))
 
 
 def test_a_grid_of_another_shape_is_refused():
-    """A field on a grid that is not the mesh's, or for a mesh without grid, is an InputError."""
+    """A field on a grid that is not the mesh's is an InputError."""
     mesh = box((4, 3, 2), EDGE)
     with pytest.raises(InputError, match="does not fit"):
-        mesh.from_grid(np.zeros((17, 17, 8, 3)))
-    with pytest.raises(InputError, match="no regular node grid"):
-        dataclasses.replace(mesh, grid_shape=None).to_grid(np.zeros((mesh.n_nodes, 3)))
+        mesh.grid.from_grid(np.zeros((17, 17, 8, 3)))
 
 
 @pytest.mark.parametrize("make", [tumour, lambda: box((4, 3, 2), EDGE)])
@@ -153,10 +155,139 @@ def test_impossible_boxes_are_refused():
     """An empty box, an unknown support and a node at no place are InputErrors."""
     with pytest.raises(InputError, match="positive"):
         box((0, 2, 2), EDGE)
-    with pytest.raises(InputError, match="all but top"):
+    with pytest.raises(InputError, match="'sides' is neither .* bottom, top"):
         box((2, 2, 2), EDGE, "sides")
     mesh = box((2, 2, 2), EDGE)
     points = mesh.points.copy()
     points[5, 1] = np.nan
     with pytest.raises(InputError, match="node 5"):
         HexMesh(points, mesh.cells, mesh.fixed)
+
+
+def with_cell(mesh, e, nodes):
+    cells = mesh.cells.copy()
+    cells[e] = nodes
+    return cells
+
+
+@pytest.mark.parametrize(
+    "change, named",
+    [
+        (lambda m: {"fixed": m.fixed[:-1]}, r"fixed is bool of shape \(59,\); give .* \(60,\)"),
+        (lambda m: {"fixed": m.fixed.astype(int)}, "fixed is int64"),
+        (lambda m: {"loaded": m.fixed[None]}, r"loaded is bool of shape \(1, 60\)"),
+        (lambda m: {"points": m.points[:, :2]}, r"points is float64 of shape \(60, 2\)"),
+        (lambda m: {"points": m.points.astype(str)}, "points is <U"),
+        (lambda m: {"cells": m.cells.astype(float)}, "cells is float64 of shape"),
+        (lambda m: {"cells": m.cells[:, :4]}, r"cells is int64 of shape \(24, 4\)"),
+        (lambda m: {"cells": m.cells[:0]}, "no cells"),
+        (lambda m: {"cells": with_cell(m, 3, -1)}, r"cell 3 \(nodes \[-1, .* 0 to 59"),
+        (lambda m: {"cells": with_cell(m, 3, 60)}, r"cell 3 \(nodes \[60, .* 0 to 59"),
+        (lambda m: {"cells": with_cell(m, 5, m.cells[2])}, "cell 5 .* is cell 2 once more"),
+        (lambda m: {"grid": NodeGrid((60, 1, 1), np.arange(59))}, "places for 59 nodes"),
+        (lambda m: {"node_sets": {"tip": m.fixed[1:]}}, r"node_sets\['tip'\] is bool of"),
+        (lambda m: {"cell_sets": {"core": m.fixed}}, r"cell_sets\['core'\] is bool of"),
+    ],
+)
+def test_arrays_that_are_no_mesh_are_named(change, named):
+    """Wrong lengths, shapes and types, negative and too large node numbers and a cell given twice
+    are InputErrors that name the value."""
+    mesh = box((4, 3, 2), EDGE)
+    with pytest.raises(InputError, match=named):
+        dataclasses.replace(mesh, **change(mesh))
+
+
+@pytest.mark.parametrize(
+    "shape, index, named",
+    [
+        ((2, 2), [0, 1], "shape"),
+        ((2, 2, 0), [0], "positive"),
+        ((2, 2, 2), [0, 8], "holds 8"),
+        ((2, 2, 2), [0, -1], "holds -1"),
+        ((2, 2, 2), [0, 3, 3], "holds 3 twice"),
+        ((2, 2, 2), [0.0, 1.0], "float64"),
+    ],
+)
+def test_impossible_node_grids_are_refused(shape, index, named):
+    with pytest.raises(InputError, match=named):
+        NodeGrid(shape, np.array(index))
+
+
+def test_meshes_are_equal_by_content_and_usable_as_keys():
+    """Equal content is one mesh, here and in another process; any change makes another."""
+    mesh = box((4, 3, 2), EDGE)
+    again, moved = box((4, 3, 2), EDGE), dataclasses.replace(mesh, points=mesh.points * 1.001)
+    assert mesh == again and hash(mesh) == hash(again) and mesh.digest == again.digest
+    assert pickle.loads(pickle.dumps(mesh)) == mesh and mesh != "box"
+    others = {
+        moved,
+        mesh.with_sets(fixed="z min"),
+        mesh.with_sets(loaded="top"),
+        mesh.with_sets(tip="x max"),
+        dataclasses.replace(mesh, grid=None),
+    }
+    assert mesh not in others and len(others) == 5
+
+
+def test_a_mesh_never_changes():
+    """Its arrays are read-only, and what it was made from may go on changing."""
+    mesh = box((2, 2, 2), EDGE)
+    points, fixed = mesh.points.copy(), mesh.fixed.copy()
+    copy = HexMesh(points, mesh.cells, fixed)
+    points[:], fixed[:] = 0.0, False
+    assert np.array_equal(copy.points, mesh.points) and np.array_equal(copy.fixed, mesh.fixed)
+    for values in (mesh.points, mesh.cells, mesh.fixed, mesh.grid.index, mesh.node_sets["top"]):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0
+
+
+def test_sets_are_selected_by_text_or_given_as_arrays():
+    """with_sets takes selections and arrays of nodes or cells, returns a new mesh, and its names
+    serve in further selections."""
+    mesh = box((4, 3, 2), EDGE, "none")
+    core = np.arange(mesh.n_cells) < 5
+    held = mesh.with_sets(fixed="bottom", tip="x max", core=core).with_sets(loaded="tip, top")
+    assert not mesh.fixed.any() and mesh.loaded is None and "tip" not in mesh.node_sets
+    assert np.array_equal(held.fixed, mesh.points[:, 2] == 0)
+    assert np.array_equal(held.node_sets["tip"], mesh.points[:, 0] == mesh.points[:, 0].max())
+    assert np.array_equal(held.loaded, held.node_sets["tip"] | held.node_sets["top"])
+    assert np.array_equal(held.cell_sets["core"], core)
+    with pytest.raises(InputError, match="mesh.loaded: 'tpi' is neither .*bottom, tip, top"):
+        held.with_sets(loaded="tpi")
+
+
+def test_the_example_in_the_docstring_holds():
+    assert doctest.testmod(hexmesh) == (0, 3)
+
+
+def test_refined_cubes_are_the_cubes_of_half_the_edge():
+    """Every cube of the tumour in eight gives what twice as fine voxels give, supports included."""
+    mesh = tumour()
+    fine = refined(mesh)
+    places = np.unravel_index(mesh.grid.index[mesh.cells[:, 0]], mesh.grid.shape)
+    keep = np.zeros(np.array(mesh.grid.shape) - 1, bool)
+    keep[places] = True
+    edge = np.ptp(mesh.points[mesh.cells[0], 0])
+    voxels = from_voxels(keep.repeat(2, 0).repeat(2, 1).repeat(2, 2), edge / 2, "all but top")
+    order = np.argsort(fine.grid.index)
+    assert np.array_equal(fine.grid.index[order], voxels.grid.index) and fine.congruent
+    assert np.allclose(fine.points[order], voxels.points, rtol=0, atol=1e-15)
+    assert np.array_equal(fine.fixed[order], voxels.fixed)
+    assert fine.n_cells == 8 * mesh.n_cells and len(fine.free_faces) == 4 * len(mesh.free_faces)
+    old = fine.grid.to_grid(fine.points)[::2, ::2, ::2]
+    assert np.allclose(old, mesh.grid.to_grid(mesh.points), rtol=0, atol=1e-15)
+
+
+def test_refining_a_distorted_mesh_keeps_volume_surface_and_sets(distort):
+    """Trilinear cells are cut exactly: volume, loaded area and the sets of cells stay."""
+    mesh = dataclasses.replace(distort(box((4, 3, 2), EDGE)), grid=None)
+    mesh = mesh.with_sets(loaded="top", core=np.arange(24) % 3 == 0)
+    fine = refined(mesh)
+    assert fine.grid is None and fine.volume() == pytest.approx(mesh.volume(), rel=1e-12)
+    assert surface_volume(fine) == pytest.approx(mesh.volume(), rel=1e-12)
+    assert len(fine.free_faces) == 4 * len(mesh.free_faces)
+    assert fine.cell_sets["core"].sum() == 8 * 8
+    core, fine_core = (
+        element.gauss_volumes(m.points, m.cells)[m.cell_sets["core"]].sum() for m in (mesh, fine)
+    )
+    assert fine_core == pytest.approx(core, rel=1e-12)

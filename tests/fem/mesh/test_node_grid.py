@@ -14,6 +14,7 @@ from fem.mesh.embedding import Embedding
 from fem.mesh.node_grid import node_grid
 from fem.mesh.read import read_mesh
 from fem.mesh.shapes import box, tumour
+from fem.online.grid import NodeGrid
 
 TURNS = (
     [0, 1, 2, 3, 4, 5, 6, 7],
@@ -51,10 +52,9 @@ def test_the_grid_of_a_shuffled_curved_mesh_is_found(make, seed):
     )
     old = np.argsort(number)
     mixed = dataclasses.replace(
-        mesh, points=points, cells=cells, fixed=mesh.fixed[old], grid_shape=None, grid_index=None
+        mesh, points=points, cells=cells, fixed=mesh.fixed[old], grid=None, node_sets={}
     )
-    shape, index = node_grid(mixed)
-    assert shape == mesh.grid_shape and np.array_equal(index, mesh.grid_index[old])
+    assert node_grid(mixed) == NodeGrid(mesh.grid.shape, mesh.grid.index[old])
 
 
 @pytest.mark.parametrize(
@@ -67,10 +67,9 @@ def test_the_loaded_side_is_the_last_layer_of_the_grid(tmp_path, axis, shape):
     mesh, path = box((6, 5, 4), 1.0, "none"), tmp_path / "block.vtu"
     meshio.Mesh(mesh.points, [("hexahedron", mesh.cells)]).write(path)
     mesh = read_mesh(path, 1.0, f"all but {axis}", axis)
-    found, index = node_grid(mesh)
-    on_grid = dataclasses.replace(mesh, grid_shape=found, grid_index=index)
-    grid = on_grid.to_grid(mesh.points)
-    assert found == shape and on_grid.to_grid(mesh.loaded[:, None])[..., -1, 0].all()
+    found = node_grid(mesh)
+    grid = found.to_grid(mesh.points)
+    assert found.shape == shape and found.to_grid(mesh.loaded[:, None])[..., -1, 0].all()
     assert (
         np.linalg.det(
             [
@@ -105,8 +104,8 @@ def ring(n=12):
         points=points[first],
         cells=place[strip.cells][:, [3, 2, 1, 0, 7, 6, 5, 4]],
         fixed=k[first] == 0,
-        grid_shape=None,
-        grid_index=None,
+        grid=None,
+        node_sets={},
     )
     return dataclasses.replace(mesh, loaded=k[first] == 2)
 
@@ -126,7 +125,7 @@ def test_a_ring_has_no_grid_and_is_embedded_in_one():
         embedding = Embedding(mesh, shape)
         assert embedding.grid_mesh.volume() == pytest.approx(mesh.volume(), rel=off)
         assert embedding.grid_mesh.n_nodes < np.prod(embedding.shape)  # the hole is no material
-    assert embedding.shape[2] >= 3 and embedding.grid_mesh.grid_shape == embedding.shape
+    assert embedding.shape[2] >= 3 and embedding.grid_mesh.grid.shape == embedding.shape
 
 
 def test_embedding_error_falls_with_the_grid():
@@ -172,8 +171,8 @@ def test_embedding_turns_the_loaded_surface_up():
         mesh, points=mesh.points @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     )
     embedding = Embedding(turned, (7, 7, 4))
-    grid = embedding.grid_mesh.to_grid(embedding.grid_mesh.points)
-    mask = embedding.grid_mesh.to_grid(np.ones((embedding.grid_mesh.n_nodes, 1)))[..., 0] > 0
+    grid = embedding.grid_mesh.grid.to_grid(embedding.grid_mesh.points)
+    mask = embedding.grid_mesh.grid.mask
     layers = [grid[..., k, 0][mask[..., k]] for k in range(4)]
     assert all(np.allclose(layer, -2 * k / 3) for k, layer in enumerate(layers))
 
@@ -186,9 +185,7 @@ def shell():
     a, y, c = strip.points.T / [[24], [1], [2]]
     angle, radius = np.pi * (0.5 - a), 10 + 0.4 * c
     points = np.stack([radius * np.sin(-angle), y, radius * np.cos(angle)], axis=1)
-    return dataclasses.replace(
-        strip, points=points, fixed=(a == 0) | (a == 1), grid_shape=None, grid_index=None
-    )
+    return dataclasses.replace(strip, points=points, fixed=(a == 0) | (a == 1), grid=None)
 
 
 def test_a_footprint_follows_the_curve_and_stays_on_its_side_of_a_thin_wall(shell):

@@ -39,7 +39,7 @@ def files(block, tmp_path_factory):
     node = rng.permutation(block.n_nodes)
     number = np.argsort(node)  # new number of each node
     points, cells = block.points[node], number[block.cells][rng.permutation(block.n_cells)]
-    k = np.unravel_index(block.grid_index, block.grid_shape)[2]  # layer of every node
+    k = np.unravel_index(block.grid.index, block.grid.shape)[2]  # layer of every node
     base, top = number[k == 0], number[k == 4]
     faces = block.boundary_faces
     quads = {
@@ -89,12 +89,15 @@ def test_every_format_gives_the_same_mesh_and_its_named_sides(files, block, name
     """VTK, Gmsh 2.2 and 4.1 and Abaqus files give nodes, cells, held base and loaded top; a stray
     point is dropped."""
     mesh = read_mesh(files / name, 1e-3, "base", "top")
-    shape, index = node_grid(mesh)
-    assert shape == block.grid_shape and mesh.n_cells == block.n_cells
-    on_grid = dataclasses.replace(mesh, grid_shape=shape, grid_index=index)
-    assert np.allclose(on_grid.to_grid(mesh.points), block.to_grid(block.points) * 1e-3, atol=1e-12)
-    assert np.array_equal(on_grid.to_grid(mesh.fixed[:, None]), block.to_grid(block.fixed[:, None]))
-    assert len(mesh.free_faces) == 30 and (on_grid.to_grid(mesh.loaded[:, None])[..., -1, 0]).all()
+    grid = node_grid(mesh)
+    assert grid.shape == block.grid.shape and mesh.n_cells == block.n_cells
+    assert np.allclose(
+        grid.to_grid(mesh.points), block.grid.to_grid(block.points) * 1e-3, atol=1e-12
+    )
+    assert np.array_equal(
+        grid.to_grid(mesh.fixed[:, None]), block.grid.to_grid(block.fixed[:, None])
+    )
+    assert len(mesh.free_faces) == 30 and (grid.to_grid(mesh.loaded[:, None])[..., -1, 0]).all()
 
 
 @pytest.mark.parametrize(
@@ -123,6 +126,22 @@ def test_selections_by_name_value_and_place(files, text, count):
 def test_a_side_of_a_set_of_cells_is_all_their_nodes(files):
     assert read_mesh(files / "block.inp", 1e-3, "some", "top").fixed.sum() > 7 * 3
     assert read_mesh(files / "block22.msh", 1e-3, "gmsh:physical = 1").fixed.sum() == 42
+
+
+def test_the_names_of_a_file_are_sets_of_the_mesh(files):
+    """Groups, sets and data become node sets, those of hexahedra cell sets too, and serve later
+    selections."""
+    mesh = read_mesh(files / "block.vtu", 1e-3, "base", "top")
+    assert {"base", "top", "side = 1", "side = 3"} <= mesh.node_sets.keys()
+    assert mesh.cell_sets["side = 3"].all() and not mesh.cell_sets["side = 1"].any()
+    again = mesh.with_sets(fixed="side = 1", cap="side = 2.0")
+    assert np.array_equal(again.fixed, mesh.fixed)
+    assert np.array_equal(again.node_sets["cap"], mesh.node_sets["top"])
+    with pytest.raises(InputError, match="'side = 7' selects no node; there is side = 1, side = 2"):
+        mesh.with_sets(fixed="side = 7")
+    some = read_mesh(files / "block.inp", 1e-3, "some", "top")
+    assert some.cell_sets["some"].sum() == 7
+    assert read_mesh(files / "block22.msh", 1e-3, "base").cell_sets["tissue"].all()
 
 
 @pytest.mark.parametrize(
@@ -274,7 +293,7 @@ def test_a_mesh_file_becomes_a_dataset_and_samples(files, tmp_path, grid):
         and np.abs(samples.displacement).max() > 0.1
     )
     sequence = dataset.sequence("train", 2)
-    assert sequence.mesh.n_nodes == 210 and sequence.mesh.volume() == pytest.approx(
+    assert sequence.mesh.n_nodes == 210 and 1e9 * sequence.mesh.volume() == pytest.approx(
         samples.volume[0], rel=1e-9
     )
     assert np.allclose(
@@ -287,12 +306,32 @@ def test_a_mesh_file_becomes_a_dataset_and_samples(files, tmp_path, grid):
     assert np.allclose(
         displacement, samples.displacement[3:], atol=1e-4 * np.abs(displacement).max()
     )
-    assert len(dataset.fem_mesh.free_faces) == 30 and dataset.mesh.volume() == pytest.approx(
+    assert len(dataset.fem_mesh.free_faces) == 30 and dataset.rest_volume == pytest.approx(
         samples.volume[0], rel=0.02
     )
     assert (0 < dataset.embedding_error < 0.1) if grid else dataset.embedding_error == 0
+    assert dataset.fem_mesh == scene.mesh.build()  # whole, without the file
     with h5py.File(path) as file:
         assert file["energy"].shape == (4, 3, 7) and file["energy"].attrs["unit"] == "J"
+
+
+def test_a_mesh_file_is_read_once_in_a_process(files, monkeypatch):
+    """Equal choices, also of a scene loaded again, share one mesh; a changed file is read anew."""
+    scene, reads = scene_with(files), []
+    read = meshio.read
+    monkeypatch.setattr(meshio, "read", lambda path: reads.append(path) or read(path))
+    mesh = scene.mesh.build()
+    assert scene.mesh.build() is mesh and scene_with(files).mesh.build() is mesh
+    assert len(reads) <= 1
+    assert dataclasses.replace(scene.mesh, loaded="top, z max").build() is not mesh
+    moved = meshio.Mesh(mesh.points * 1.001e3, [("hexahedron", mesh.cells)])
+    moved.point_data = {name: mesh.node_sets[name].astype(int) for name in ("base", "top")}
+    moved.write(files / "moved.vtu")
+    other = dataclasses.replace(scene.mesh, file="moved.vtu", sha256=None)
+    before = other.build()
+    moved.points *= 1.001
+    moved.write(files / "moved.vtu")
+    assert other.build() != before
 
 
 def test_a_changed_mesh_makes_another_scene(files, tmp_path):
@@ -318,6 +357,9 @@ def test_a_changed_mesh_makes_another_scene(files, tmp_path):
     [
         ('{ file = "none.vtu" }', ["none.vtu", "relative to the scene file"]),
         ('{ kind = "file" }', ["mesh.file"]),
+        ('{ kind = "tumour", cells = [16, 16, 8] }', ["mesh.cells", "'tumour'"]),
+        ('{ kind = "tumour", fixed = "bottom" }', ["mesh.fixed", "'tumour'"]),
+        ('{ kind = "box", scale = 1.0 }', ["mesh.scale", "'box'"]),
         ('{ kind = "box", file = "block.vtu" }', ["mesh.file", "'box'"]),
         ('{ file = "block.vtu", edge = 1.0 }', ["mesh.edge", "'file'"]),
         ('{ file = "block.vtu", scale = 0.0 }', ["mesh.scale"]),
@@ -339,9 +381,9 @@ def test_the_shipped_lobe_is_a_curved_block_on_a_grid(request):
     from above."""
     scene = load_scene(request.config.rootpath / "configs/lobe.toml")
     mesh = scene.mesh.build()
-    assert mesh.grid_shape == (13, 13, 7) and mesh.n_cells == 864 and not mesh.congruent
-    grid = mesh.to_grid(mesh.points)
+    assert mesh.grid.shape == (13, 13, 7) and mesh.n_cells == 864 and not mesh.congruent
+    grid = mesh.grid.to_grid(mesh.points)
     assert (
         np.diff(np.linalg.norm(grid[..., [0, 2]], axis=-1), axis=2) > 0
     ).all()  # layers go outwards
-    assert mesh.to_grid((~mesh.fixed)[:, None])[1:-1, 1:-1, 1:].all()
+    assert mesh.grid.to_grid((~mesh.fixed)[:, None])[1:-1, 1:-1, 1:].all()

@@ -84,10 +84,10 @@ def test_refined_mesh_keeps_shape_fixed_nodes_and_every_second_node():
     fine = reference.refined(coarse)
     assert fine.n_cells == 8 * coarse.n_cells and np.isclose(fine.volume(), coarse.volume())
     np.testing.assert_allclose(
-        fine.to_grid(fine.points)[::2, ::2, ::2], coarse.to_grid(coarse.points), atol=1e-12
+        fine.grid.to_grid(fine.points)[::2, ::2, ::2], coarse.grid.to_grid(coarse.points), atol=1e-12
     )
-    at_old_nodes = fine.to_grid(fine.fixed[:, None])[::2, ::2, ::2, 0]
-    np.testing.assert_array_equal(at_old_nodes, coarse.to_grid(coarse.fixed[:, None])[..., 0])
+    at_old_nodes = fine.grid.to_grid(fine.fixed[:, None])[::2, ::2, ::2, 0]
+    np.testing.assert_array_equal(at_old_nodes, coarse.grid.to_grid(coarse.fixed[:, None])[..., 0])
 
 
 def test_frames_bring_the_forces_of_the_dataset_bit_for_bit(dataset):

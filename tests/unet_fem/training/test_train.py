@@ -169,7 +169,7 @@ def test_volume_of_the_loss_is_the_volume_of_the_fem(folder):
 
     dataset = open_dataset("scene.h5")
     samples = data.load_samples(dataset, "test", None)
-    faces = dataset.mesh.grid_index[dataset.mesh.boundary_faces]
+    faces = dataset.mesh.grid.index[dataset.mesh.boundary_faces]
     volume = np.asarray(deformed_volume(samples.displacement, dataset.points.reshape(-1, 3), faces))
     assert volume == pytest.approx(samples.volume, rel=1e-6)
     assert np.abs(samples.volume - 32).max() > 0.05  # it does change

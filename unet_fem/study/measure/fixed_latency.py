@@ -112,7 +112,7 @@ def frame_forces(dataset, split, number, frame):
         Load(Surface(dataset.fem_mesh), contacts_of(dataset, split, number)),
     )
     times = frame * np.arange(1, frames_between(scene, frame) * (scene.frames.count - 1) + 1)
-    return np.stack([dataset.fem_mesh.to_grid((load(t).T * 1e3).astype(np.float32)) for t in times])
+    return np.stack([dataset.fem_mesh.grid.to_grid((load(t).T * 1e3).astype(np.float32)) for t in times])
 
 
 def frames_between(scene, frame):

@@ -45,7 +45,7 @@ def run(study):
         simulated(study, dataset, real_time(study, dataset)),
         network_functions(study, dataset),
     )
-    largest, rest = force_size(dataset.read("train")["force"]), dataset.mesh.volume()
+    largest, rest = force_size(dataset.read("train")["force"]), dataset.rest_volume
     factors = list(study.stability.factors)
     shape = len(factors), len(dataset.time)
     alive, flag, size = np.zeros(shape, int), np.zeros(shape), np.zeros(shape)

@@ -146,7 +146,7 @@ def _refinement(study, dataset, few, own):
     and damping. own: the dataset's fields."""
     plain, dilatation = (
         dataset.scene.solver,
-        replace(dataset.scene.solver, element="mean_dilatation"),
+        replace(dataset.scene.solver, element="mean_dilatation", hourglass_stiffness=None),
     )
     fine = _variant(study, dataset, "refined", plain, few, fine=True)
     fine_dilatation = _variant(study, dataset, "refined_dilatation", dilatation, few, fine=True)
@@ -216,7 +216,7 @@ def _simulate(dataset, choice, fine, split, number, path):
     else:
         displacement = found["displacement"]
         on_grid = (
-            mesh.to_grid(displacement)[:, ::2, ::2, ::2]
+            mesh.grid.to_grid(displacement)[:, ::2, ::2, ::2]
             if fine
             else dataset.on_grid(found["force"], displacement)[1]
         )
