@@ -179,10 +179,15 @@ class Dataset:
         """The HexMesh (m) that the interactions were simulated on, read from the file: whole and to
         the bit, or, from the first format, by way of mm and of the grid."""
         with _opened(self.path) as file:
-            if self.format == FORMAT:
-                return read_mesh_group(file["mesh"], self.grid)
-            if "mesh" in file:
-                return read_mesh_group(file["mesh"], self.grid, MM)
+            try:
+                if self.format == FORMAT:
+                    return read_mesh_group(file["mesh"], self.grid)
+                if "mesh" in file:
+                    return read_mesh_group(file["mesh"], self.grid, MM)
+            except InputError as error:
+                raise InputError(
+                    f"{self.path} is damaged ({error}); delete it and generate it again"
+                ) from None
             loaded = file["loaded"][()] if "loaded" in file else None
         if loaded is None:
             return self.mesh

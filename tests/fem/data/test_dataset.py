@@ -288,6 +288,26 @@ def test_damaged_files_are_refused(spoil, message, tiny_dataset, tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    "spoil, message",
+    [
+        (change("mesh/cells", lambda file, name: put(file, name, file[name][()] + 1)), "cell"),
+        (change("mesh/points", delete), "mesh/points|points"),
+        (change("mesh", delete), "mesh"),
+        (
+            change("mesh/grid_index", lambda file, name: put(file, name, file[name][()] * 0)),
+            "twice",
+        ),
+    ],
+)
+def test_a_damaged_mesh_is_refused_when_it_is_asked_for(spoil, message, tiny_dataset, tmp_path):
+    path = shutil.copy(tiny_dataset, tmp_path / "copy.h5")
+    spoil(path)
+    with pytest.raises(InputError, match=message) as error:
+        open_dataset(path).fem_mesh  # noqa: B018
+    assert str(path) in str(error.value) and "is damaged" in str(error.value)
+
+
 def test_unknown_split_is_refused(tiny_dataset):
     """A misspelt split is an InputError that lists the right ones."""
     with pytest.raises(InputError, match="split 'valid' is not one of train, validation, test"):

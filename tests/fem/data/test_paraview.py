@@ -13,7 +13,9 @@ import pytest
 
 from fem.data.build import generate
 from fem.data.dataset import open_dataset
+from fem.data.paraview import write_sequence
 from fem.data.scene import load_scene
+from fem.errors import InputError
 from fem.mesh.shapes import box
 
 SCENE = """
@@ -146,3 +148,19 @@ def test_wrong_arguments_are_one_line_with_the_remedy(dataset, tmp_path, capsys,
     assert stop.value.code == 2 and message.startswith("error: ") and "\n" not in message
     for word in named:
         assert word in message
+
+
+def test_a_simulation_without_a_dataset_is_written_too(tmp_path):
+    """Mesh in m, times and fields are enough; without displacement there is no J, without energies
+    no table."""
+    mesh, times = box((2, 2, 2), 1e-3), [0.0, 0.5]
+    stretch = np.stack([0 * mesh.points, 0.1 * mesh.points * 1e3])  # mm
+    write_sequence(tmp_path, "stretch", mesh, times, {"displacement": stretch})
+    file = meshio.read(tmp_path / "stretch/frame_0001.vtu")
+    assert np.allclose(file.points, mesh.points * 1e3, rtol=1e-15)
+    assert np.allclose(file.cell_data["J"][0], 1.1**3, rtol=1e-12)
+    write_sequence(tmp_path, "load", mesh, times, {"force": stretch})
+    assert not meshio.read(tmp_path / "load/frame_0001.vtu").cell_data
+    assert not list(tmp_path.glob("*.csv")) and (tmp_path / "load.pvd").is_file()
+    with pytest.raises(InputError, match=r"'force' has shape \(1, 27, 3\); 2 frames of 27 nodes"):
+        write_sequence(tmp_path, "short", mesh, times, {"force": stretch[:1]})
