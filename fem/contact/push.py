@@ -1,7 +1,7 @@
 """Instruments that push on the free surface: smooth circular footprints with a path, a force
 history and a direction."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,40 +117,6 @@ class Load:
                 contact.centre(t), contact.radius
             )
         return total
-
-
-TABLE = np.dtype(
-    [
-        ("start", "f8", 3),
-        ("end", "f8", 3),
-        ("direction", "f8", 3),
-        ("radius", "f8"),
-        ("peak", "f8"),
-        ("onset", "f8"),
-        ("ramp", "f8"),
-        ("hold", "f8"),
-        ("pattern", "S10"),
-        ("low", "f8"),
-        ("rate", "f8"),
-        ("duration", "f8"),
-    ]
-)  # a Contact as a row of an array, for files
-COLUMNS = TABLE.names or ()
-
-
-def contact_table(contacts: Sequence[Contact]) -> np.ndarray:
-    """(C,) rows of TABLE."""
-    return np.array(
-        [tuple(getattr(contact, name) for name in COLUMNS) for contact in contacts], TABLE
-    )
-
-
-def table_contacts(table: np.ndarray) -> list[Contact]:
-    """The contacts behind rows (C,) of TABLE, to the bit."""
-    return [
-        Contact(**dict(zip(COLUMNS, row, strict=True)) | {"pattern": row["pattern"].decode()})
-        for row in table
-    ]
 
 
 def smooth_step(x: float) -> float:

@@ -16,60 +16,19 @@ import h5py
 import numpy as np
 
 from fem import settings as config
-from fem.contact.push import Contact, table_contacts
+from fem.contact.push import Contact
+from fem.contact.table import table_contacts
+from fem.data.draws import redrawn_contacts
 from fem.data.grid import displacement_on_grid, force_on_grid, grid_of
-from fem.data.interaction import contacts_of
 from fem.data.scene import SPLITS, Scene
+from fem.data.schema import FIELDS, FIRST_FORMAT, FORMAT, check_members
 from fem.errors import InputError
 from fem.mesh import element
 from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
 from fem.online.grid import MM, NodeGrid
 
-FORMAT = "unet-fem dataset 2"
-FIRST_FORMAT = "unet-fem dataset 1"  # no contacts, and the mesh in mm or only on the grid
-UNITS = {
-    "force": "mN",
-    "displacement": "mm",
-    "volume": "mm3",
-    "points": "mm",
-    "time": "s",
-    "energy": "J",
-    "mesh/force": "mN",
-    "mesh/displacement": "mm",
-    "mesh/points": "m",
-}
-FIELDS = ("force", "displacement")
 READ = (*FIELDS, "volume")
-# kinds of type and shape of what every file holds: I interactions, F frames, a grid of x, y, z
-# nodes and E cells
-SCHEMA = {
-    "time": ("f", "F"),
-    "split": ("S", "I"),
-    "number": ("iu", "I"),
-    "hard": ("b", "I"),
-    "mask": ("b", "xyz"),
-    "fixed": ("b", "xyz"),
-    "points": ("f", "xyz3"),
-    "cells": ("iu", "E8"),
-    "force": ("f", "IFxyz3"),
-    "displacement": ("f", "IFxyz3"),
-    "volume": ("f", "IF"),
-}
-# of newer files and of embedded meshes: N nodes, C cells, K contacts, and one size of its own each
-OPTIONAL = {
-    "energy": ("f", "IFe"),
-    "contacts": ("V", "IK"),
-    "mesh/points": ("f", "N3"),
-    "mesh/cells": ("iu", "C8"),
-    "mesh/fixed": ("b", "N"),
-    "mesh/loaded": ("b", "N"),
-    "mesh/grid_index": ("iu", "N"),
-    "mesh/node_sets": ("b", "nN"),
-    "mesh/cell_sets": ("b", "cC"),
-    "mesh/force": ("f", "IFN3"),
-    "mesh/displacement": ("f", "IFN3"),
-}
 
 
 @dataclass(frozen=True)
@@ -167,12 +126,13 @@ class Dataset:
 
     def contacts(self, split: str, number: int) -> list[Contact]:
         """The contacts that pushed in interaction `number` of `split`; where the file is from
-        before they were kept, they are drawn again (fem.data.interaction.contacts_of)."""
+        before they were kept, they are drawn again."""
         row = self._row(split, number)
         with _opened(self.path) as file:
             if "contacts" in file:
                 return table_contacts(file["contacts"][row])
-        return contacts_of(self, split, number)
+        force = self.sequence(split, number).force
+        return redrawn_contacts(self.scene, self.fem_mesh, force, split, number)
 
     @cached_property
     def fem_mesh(self) -> HexMesh:
@@ -279,7 +239,7 @@ def open_dataset(path: str | Path) -> Dataset:
         form = file.attrs.get("format")
         if form not in (FORMAT, FIRST_FORMAT):
             raise InputError(f"{path} is not a '{FORMAT}' file (format: {form}); generate it again")
-        _check(file, path)
+        check_members(file, path)
         arrays = {
             name: file[name][()]
             for name in ("time", "number", "hard", "mask", "fixed", "points", "cells")
@@ -295,32 +255,6 @@ def open_dataset(path: str | Path) -> Dataset:
         format=form,
         **arrays,
     )
-
-
-def _check(file, path):
-    """Raises InputError that names a member that is missing, or of another type or shape than the
-    others ask for."""
-    sizes: dict[str, int] = {digit: int(digit) for digit in "38"}
-    for name, (kinds, axes) in (SCHEMA | OPTIONAL).items():
-        if name not in file:
-            if name in OPTIONAL:
-                continue
-            raise InputError(
-                f"{path} is damaged: it has no '{name}'; delete it and generate it again"
-            )
-        member = file[name]
-        shape = getattr(member, "shape", ())
-        fits = len(shape) == len(axes) and member.dtype.kind in kinds
-        if fits:
-            wanted = tuple(sizes.setdefault(axis, n) for axis, n in zip(axes, shape, strict=True))
-            fits = shape == wanted
-        if not fits:
-            kind = getattr(member, "dtype", "a group")
-            wanted = ", ".join(str(sizes.get(axis, "any")) for axis in axes)
-            raise InputError(
-                f"{path} is damaged: '{name}' is {kind} of shape {shape}, not of shape ({wanted});"
-                " delete it and generate it again"
-            )
 
 
 @contextmanager

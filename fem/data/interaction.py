@@ -4,15 +4,13 @@ from collections import Counter
 
 import numpy as np
 
-from fem.contact.draw import draw_contacts
-from fem.contact.push import Load, contact_table
+from fem.contact.push import Load
 from fem.contact.surface import surface_of
-from fem.data.scene import SPLITS
+from fem.contact.table import contact_table
+from fem.data.draws import MAX_ATTEMPTS, drawn_contacts, redrawn_contacts
 from fem.errors import InputError, SolverStopped
 from fem.solver.energy import EnergyLedger
 from fem.solver.explicit import STANDSTILL
-
-MAX_ATTEMPTS = 20
 
 
 def simulate(scene, mesh, contacts, surface):
@@ -93,39 +91,16 @@ def unfit(scene, result):
     return None
 
 
-def drawn_contacts(scene, surface, split, number, attempt):
-    """The contacts of one draw: it depends on the scene's seed, the split, the number and the
-    attempt, on nothing else."""
-    rng = np.random.default_rng([scene.interactions.seed, SPLITS.index(split), number, attempt])
-    factor = scene.interactions.hard_force if scene.interactions.is_hard(split, number) else None
-    return draw_contacts(surface, scene.contact, scene.frames.duration, rng, factor)
-
-
 def contacts_of(dataset, split, number):
-    """The contacts of an interaction of a fem.data.dataset.Dataset, drawn again: the attempt is the
-    one whose load gives its frames of force.
-
-    Raises InputError if no attempt gives them: the dataset is another scene's.
-    """
-    scene, surface = dataset.scene, surface_of(dataset.fem_mesh)
+    """The contacts of an interaction of a fem.data.dataset.Dataset, drawn again from its forces;
+    dataset.contacts has them from the file."""
     force = dataset.sequence(split, number).force
-    rounding = 1e-5 * max(np.abs(force).max(), 1e-300)
-    for attempt in range(MAX_ATTEMPTS):
-        contacts = drawn_contacts(scene, surface, split, number, attempt)
-        load = Load(surface, contacts)
-        if all(
-            np.abs(load(t).T * 1e3 - frame).max() <= rounding
-            for t, frame in zip(scene.frames.times, force, strict=True)
-        ):
-            return contacts
-    raise InputError(
-        f"no draw of the scene gives the forces of {split} interaction {number}; generate the dataset again"
-    )
+    return redrawn_contacts(dataset.scene, dataset.fem_mesh, force, split, number)
 
 
 def healthy_interaction(scene, mesh, split, number):
     """The first healthy draw of interaction `number` of `split`: the dict of `simulate`, with its
-    `contacts` (rows of fem.contact.push.TABLE) and `rejected` {reason: count}.
+    `contacts` (rows of fem.contact.table.TABLE) and `rejected` {reason: count}.
 
     Raises InputError after 20 unfit draws.
     """

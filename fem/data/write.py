@@ -10,10 +10,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fem.contact.push import TABLE, contact_table
-from fem.data.dataset import FIELDS, FORMAT, UNITS
+from fem.contact.table import TABLE, contact_table
 from fem.data.grid import displacement_from_grid, displacement_on_grid, force_on_grid
 from fem.data.scene import Scene
+from fem.data.schema import FIELDS, FORMAT, UNITS
 from fem.errors import InputError
 from fem.files import replacing
 from fem.measure.machine import versions

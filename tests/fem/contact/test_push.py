@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fem.contact.draw import ContactRange, draw_contacts
-from fem.contact.push import Contact, Load, Push, contact_table, table_contacts
+from fem.contact.push import Contact, Load, Push
 from fem.contact.surface import Surface, surface_of
+from fem.contact.table import contact_table, table_contacts
 from fem.errors import InputError
 from fem.mesh.shapes import box, tumour
 

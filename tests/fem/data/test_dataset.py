@@ -17,9 +17,10 @@ from fem.contact.push import Load
 from fem.contact.surface import Surface
 from fem.data import dataset as dataset_module
 from fem.data.build import generate
-from fem.data.dataset import FIRST_FORMAT, FORMAT, open_dataset
+from fem.data.dataset import open_dataset
 from fem.data.interaction import healthy_interaction, unfit
 from fem.data.scene import SPLITS, MeshChoice, Scene
+from fem.data.schema import FIRST_FORMAT, FORMAT
 from fem.data.write import HEALTH, write_dataset
 from fem.errors import InputError
 from fem.mesh.hexmesh import HexMesh
@@ -342,7 +343,7 @@ def test_the_file_keeps_the_contacts(tiny, tiny_dataset, monkeypatch):
     """Those that were drawn come back to the bit, also after rejected draws, and are not drawn
     again."""
     scene, dataset = config.build(Scene, tiny), open_dataset(tiny_dataset)
-    monkeypatch.setattr(dataset_module, "contacts_of", None)
+    monkeypatch.setattr(dataset_module, "redrawn_contacts", None)
     for split, number in scene.interactions.all():
         contacts = dataset.contacts(split, number)
         load, force = Load(Surface(dataset.fem_mesh), contacts), dataset.sequence(split, number)
