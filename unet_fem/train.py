@@ -16,6 +16,7 @@ from fem.lazy import callable_module
 from fem.locks import lock
 from unet_fem.networks.registry import network
 from unet_fem.training.run import ensure_dataset, prepare_folder, vet
+from unet_fem.training.samples import scales, training_samples
 from unet_fem.training.settings import QUICK, Settings, load_settings
 
 
@@ -28,11 +29,13 @@ def train(settings: Settings, resume: bool = False) -> dict:
     """
     vet(settings, resume)
     dataset = ensure_dataset(settings)
+    samples = training_samples(dataset, settings.model.window)
+    scales(samples[0])  # refuses forces that are all zero
     with lock(settings.folder):
         prepare_folder(settings, resume)
         from unet_fem.training.fit import train_run  # brings Keras, no refusal has to wait for it
 
-        return train_run(settings, dataset)
+        return train_run(settings, dataset, samples)
 
 
 callable_module(__name__, train)

@@ -16,7 +16,8 @@ from unet_fem.training import samples as data
 from unet_fem.training.checkpoint import Checkpoint
 from unet_fem.training.judge import evaluate
 from unet_fem.training.precision import precision
-from unet_fem.training.regressions import fit_regression, linear_regression, regression_file
+from unet_fem.training.regressions import fit_regression, linear_regression
+from unet_fem.training.run import model_file
 from unet_fem.training.samples import Samples
 from unet_fem.training.settings import Settings
 
@@ -112,14 +113,14 @@ def fit(
     return checkpoint.history
 
 
-def train_run(settings: Settings, dataset: Dataset) -> dict:
+def train_run(settings: Settings, dataset: Dataset, samples: tuple[Samples, Samples]) -> dict:
     """All that `settings` asks for on its dataset, into settings.folder, which
-    unet_fem.training.run has made. Returns the metrics."""
+    unet_fem.training.run has made. samples: for training and validation. Returns the metrics."""
     if network(settings.model.kind).fitter:
         print(f"fitting the {network(settings.model.kind).label}", flush=True)
-        fit_regression(dataset, settings.model).save(regression_file(settings))
+        fit_regression(dataset, settings.model, samples).save(model_file(settings))
     else:
-        train_network(settings, dataset)
+        train_network(settings, dataset, *samples)
     return evaluate(settings, dataset)
 
 
@@ -131,16 +132,14 @@ def seed(number: int) -> None:
         random.randint(1, 10**9)
 
 
-def train_network(settings: Settings, dataset: Dataset) -> None:
+def train_network(
+    settings: Settings, dataset: Dataset, train: Samples, validation: Samples
+) -> None:
     """Train the network of `settings`, and fit the linear regression that it is compared with."""
     started = time.monotonic()
     seed(settings.train.seed)
     print("fitting the linear regression", flush=True)
-    linear_regression(settings)
-    train, validation = (
-        data.load_samples(dataset, split, settings.model.window)
-        for split in ("train", "validation")
-    )
+    linear_regression(settings, dataset, (train, validation))
     with precision(settings.train.precision):
         model = build_model(settings, dataset, *data.scales(train))
         compile_model(model, settings, dataset, -(-len(train) // settings.train.batch_size))

@@ -7,13 +7,15 @@ import numpy as np
 from fem.data.dataset import Dataset
 from fem.errors import InputError
 from fem.files import write_text
+from fem.online.regression import Regression
 from unet_fem.metrics import relative_l2_of_sums
 from unet_fem.networks.files import load_model
 from unet_fem.networks.registry import Linear, Model, network
 from unet_fem.training import figures
 from unet_fem.training.extremes import extremes_table, judge_extremes
 from unet_fem.training.losses import deformed_volume
-from unet_fem.training.regressions import linear_regression, regression_of
+from unet_fem.training.regressions import linear_regression
+from unet_fem.training.run import model_file
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import Settings
 
@@ -85,23 +87,21 @@ def predict(model: Model, samples: Samples, dataset: Dataset) -> tuple[np.ndarra
     return np.concatenate(fields), np.concatenate(volumes)
 
 
-def competitors(settings: Settings) -> dict[str, Model]:
+def competitors(settings: Settings, dataset: Dataset) -> dict[str, Model]:
     """{name: model}: what the run has made, and the linear regression on the same window."""
     kind = settings.model.kind
     models: dict[str, Model] = {
-        kind: regression_of(settings)
-        if network(kind).fitter
-        else load_model(settings.folder / "best.keras")
+        kind: (Regression.load if network(kind).fitter else load_model)(model_file(settings))
     }
     if kind != Linear.kind:
-        models["linear regression"] = linear_regression(settings)
+        models["linear regression"] = linear_regression(settings, dataset)
     return models
 
 
 def evaluate(settings: Settings, dataset: Dataset) -> dict:
     """Metrics of the run's best model and of its linear regression, written to its folder with the
     figures."""
-    models, window = competitors(settings), settings.model.window
+    models, window = competitors(settings, dataset), settings.model.window
     metrics: dict[str, dict] = {name: {} for name in (*models, "FEM")}
     for split in ("validation", "test"):
         samples = load_samples(dataset, split, window)

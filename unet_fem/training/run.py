@@ -47,6 +47,12 @@ def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
     return settings, open_dataset(settings.data)
 
 
+def model_file(settings: Settings) -> Path:
+    """Where the run keeps what it has made: its best network, or its regression."""
+    fitted = network(settings.model.kind).fitter
+    return settings.folder / ("regression.npz" if fitted else "best.keras")
+
+
 def vet(settings: Settings, resume: bool = False) -> None:
     """Raises InputError for all that can be wrong with `settings` before anything is made: the
     folder, the scene, the dataset if there is one, and the network on its grid."""

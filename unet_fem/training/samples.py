@@ -69,6 +69,11 @@ def load_samples(dataset: Dataset, split: str, steps: int | None) -> Samples:
     )
 
 
+def training_samples(dataset: Dataset, steps: int | None) -> tuple[Samples, Samples]:
+    """(training, validation) samples, see `load_samples`."""
+    return load_samples(dataset, "train", steps), load_samples(dataset, "validation", steps)
+
+
 def scales(samples: Samples) -> tuple[float, float]:
     """(force_scale mN, displacement_scale mm): root mean square over the nonzero entries of the
     training data."""

@@ -219,6 +219,7 @@ def test_an_existing_run_is_neither_overwritten_nor_resumed_with_other_settings(
     prepare_folder(settings)
     for resume in ([], ["--resume"]):
         stops_with(train.main, ["lstm.toml", "train.epochs=9", *resume], capsys, "other settings")
+    stops_with(evaluate.main, ["runs/lstm"], capsys, "no model runs/lstm/best.keras")
     (folder / "runs/lstm/metrics.json").write_text("{}")
     (folder / "runs/lstm/history.json").write_text('{"loss": [1.0, 1.0, 1.0]}')
     assert not finished(settings)  # judged on the way
@@ -245,6 +246,7 @@ def test_a_dataset_that_does_not_serve_is_refused(folder, capsys, damage):
         )
         words = ["another scene", "scene.toml"]
     stops_with(train.main, ["lstm.toml"], capsys, *words)
+    assert not (folder / "runs").exists()
 
 
 def test_a_checkpoint_of_another_model_is_refused(folder, capsys, unjudged):
