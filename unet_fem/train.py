@@ -50,7 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> dict:
     parser.add_argument(
         "words", nargs="*", metavar="config.toml or key=value", help="settings; later ones win"
     )
-    parser.add_argument("--resume", action="store_true", help="go on with the run of this name")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="also where it is finished: go on with the run of this name, or judge it again",
+    )
     options = parser.parse_args(arguments)
     files = [word for word in options.words if "=" not in word]
     if len(files) > 1:
@@ -59,7 +63,12 @@ def main(arguments: Sequence[str] | None = None) -> dict:
         files[0] if files else QUICK, [word for word in options.words if "=" in word]
     )
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # read when TensorFlow is imported
-    metrics = train(settings, options.resume)
+    try:
+        metrics = train(settings, options.resume)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "finished interactions and epochs are kept; give the same command again to go on"
+        ) from None
     folder = settings.folder
     where = f"\nfigures: {folder / 'figures'}   metrics: {folder / 'metrics.json'}"
     if network(settings.model.kind).fitter:

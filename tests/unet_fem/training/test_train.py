@@ -183,7 +183,7 @@ def test_an_interrupted_run_goes_on_by_the_same_command_and_ends_as_if_never_sto
         train.main(["lstm.toml", "name=cut"])
     assert stop.value.code == 130
     assert len(json.loads((folder / "runs/cut/history.json").read_text())["loss"]) == 2
-    assert "run the same command again" in capsys.readouterr().err
+    assert "give the same command again to go on" in capsys.readouterr().err
     train.main(["lstm.toml", "name=cut"])
     assert "going on after 2 of 4 epochs" in capsys.readouterr().out
     whole, cut = (
