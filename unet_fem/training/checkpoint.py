@@ -3,6 +3,7 @@
 import json
 import math
 import time
+import warnings
 from pathlib import Path
 
 import keras
@@ -36,7 +37,9 @@ class Checkpoint(keras.callbacks.Callback):
             return 0
         model.optimizer.build(model.trainable_variables)
         try:
-            model.load_weights(self.weights)
+            with warnings.catch_warnings():  # what does not fit is told in one line below
+                warnings.simplefilter("ignore")
+                model.load_weights(self.weights)
             history = json.loads(self.history_file.read_text())
         except (ValueError, OSError, KeyError) as error:
             raise InputError(
