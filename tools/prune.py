@@ -14,7 +14,6 @@ import dataclasses
 import json
 import math
 import os
-import shutil
 import zipfile
 from pathlib import Path
 
@@ -96,7 +95,6 @@ def smaller_run(settings, dataset, sparsity, by_filters, epochs, learning_rate):
             precision=tuning.precision,
         )
         save_model(model, small.folder / "best.keras")
-    shutil.copy(settings.folder / "linear.keras", small.folder / "linear.keras")
     done.touch()
     return small
 

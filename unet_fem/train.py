@@ -2,42 +2,80 @@
 
     python -m unet_fem.train [config.toml] [key=value ...] [--resume]
 
-Without arguments: configs/quick.toml. Everything goes to runs/<name>/.
+Without arguments: configs/quick.toml. Everything goes to runs/<name>/. A run that was interrupted
+goes on when the same command is given again.
 """
 
 import argparse
 import os
+from collections.abc import Sequence
 
 from fem.commands import command_line
 from fem.errors import InputError
-from unet_fem.training import settings as config
-from unet_fem.training.fit import train
+from fem.lazy import callable_module
+from fem.locks import lock
+from unet_fem.networks.registry import network
+from unet_fem.training.run import ensure_dataset, prepare_folder, vet
+from unet_fem.training.samples import scales, training_samples
+from unet_fem.training.settings import QUICK, Settings, load_settings
 
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+def train(settings: Settings, resume: bool = False) -> dict:
+    """Everything that `settings` asks for, into settings.folder; an unfinished run of the same
+    settings goes on. Returns the metrics of unet_fem.evaluate.
+
+    resume: also where the run is finished, and refuse where there is none. Raises InputError before
+    anything is made for a scene, dataset, network or folder that does not serve.
+    """
+    vet(settings, resume)
+    dataset = ensure_dataset(settings)
+    samples = training_samples(dataset, settings.model.window)
+    scales(samples[0])  # refuses forces that are all zero
+    with lock(settings.folder):
+        prepare_folder(settings, resume)
+        from unet_fem.training.fit import train_run  # brings Keras, no refusal has to wait for it
+
+        return train_run(settings, dataset, samples)
+
+
+callable_module(__name__, train)
 
 
 @command_line
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> dict:
+    """The command line."""
     parser = argparse.ArgumentParser(
         prog="python -m unet_fem.train", description=__doc__.split("\n")[0]
     )
     parser.add_argument(
         "words", nargs="*", metavar="config.toml or key=value", help="settings; later ones win"
     )
-    parser.add_argument("--resume", action="store_true", help="go on with the run of this name")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="also where it is finished: go on with the run of this name, or judge it again",
+    )
     options = parser.parse_args(arguments)
     files = [word for word in options.words if "=" not in word]
     if len(files) > 1:
         raise InputError(f"give one configuration file, not {' and '.join(files)}")
-    settings = config.load_settings(
-        files[0] if files else config.QUICK, [w for w in options.words if "=" in w]
+    settings = load_settings(
+        files[0] if files else QUICK, [word for word in options.words if "=" in word]
     )
-    metrics = train(settings, options.resume)
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # read when TensorFlow is imported
+    try:
+        metrics = train(settings, options.resume)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "finished interactions and epochs are kept; give the same command again to go on"
+        ) from None
     folder = settings.folder
-    print(
-        f"\nfigures: {folder / 'figures'}   metrics: {folder / 'metrics.json'}   curves: tensorboard --logdir {folder / 'tensorboard'}"
-    )
-    print(f"next: python tools/quantize.py {folder}   (TFLite models for a CPU)")
+    where = f"\nfigures: {folder / 'figures'}   metrics: {folder / 'metrics.json'}"
+    if network(settings.model.kind).fitter:
+        print(where + f"   stepper: {folder / 'regression.npz'}")
+    else:
+        print(where + f"   curves: tensorboard --logdir {folder / 'tensorboard'}")
+        print(f"next: python tools/quantize.py {folder}   (TFLite models for a CPU)")
     return metrics
 
 

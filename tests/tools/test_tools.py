@@ -15,6 +15,7 @@ import pytest
 
 from unet_fem.deployment import tflite as lite
 from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.registry import CnnLstm
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.training import settings as config
 from unet_fem.training.checkpoint import load_model
@@ -42,7 +43,6 @@ def folder(tiny_dataset, tmp_path_factory):
     shutil.copy(tiny_dataset, folder / "tiny.h5")
     keras.utils.set_random_seed(0)
     cnn_lstm((5, 5, 3), 64, 2, force_scale=0.05, displacement_scale=0.05).save(run / "best.keras")
-    shutil.copy(run / "best.keras", run / "linear.keras")  # any model will do
     (run / "config.toml").write_text(SETTINGS)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -139,7 +139,7 @@ def test_zeros_reach_the_share_of_the_convolutions_that_was_asked_for(folder):
 @pytest.mark.parametrize("sparsity", [0.5, 0.8])
 def test_units_are_chosen_for_the_share_of_parameters_on_any_grid(grid, units, sparsity):
     thinner = runpy.run_path(str(TOOLS / "prune.py"))["thinner"]
-    settings = config.Settings("x", "", "", config.TrainChoice(1), config.ModelChoice(units=units))
+    settings = config.Settings("x", "", "", config.TrainChoice(1), CnnLstm(units=units))
     model = cnn_lstm(grid, units, 2)
     small = cnn_lstm(grid, thinner(model, settings, sparsity).units, 2)
     left, whole = (network.get_layer("bilstm").count_params() for network in (small, model))

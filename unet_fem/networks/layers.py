@@ -7,20 +7,25 @@ whole: forces are divided by `force_scale`, and the last layer, `displacement`, 
 `displacement_scale` and by `mask`, so that fixed and void nodes are exactly zero. Only built-in
 layers are used: a saved `.keras` file loads without this package.
 
+Each is built with the Keras that `lib` names, so that the same code gives a model of Keras 2
+(tf_keras), which alone can be pruned.
+
 Under the policy `mixed_bfloat16` the last convolution and the output are float32; `float32_twin`
 gives the same network in float32 throughout.
 """
 
 import json
 import re
+from types import ModuleType
 
+import keras
 import numpy as np
-from keras import layers
+import tensorflow as tf
 
 from fem.errors import InputError
 
 
-def float32_twin(model):
+def float32_twin(model: keras.Model) -> keras.Model:
     """The same network and weights in float32, to deploy or compare a model trained under mixed
     precision."""
     config = re.sub(r"mixed_b?float16", "float32", json.dumps(model.get_config()))
@@ -29,25 +34,43 @@ def float32_twin(model):
     return twin
 
 
-def displacement_layer(x, scale, mask):
+def displacement_layer(
+    x: keras.KerasTensor,
+    scale: float,
+    mask: np.ndarray | None,
+    lib: ModuleType | None = None,
+) -> keras.KerasTensor:
     """The last layer: mm, and exactly zero outside the mask (nx, ny, nz)."""
     if mask is not None:
         mask = np.asarray(mask)
         if mask.shape != x.shape[1:4]:
             raise InputError(
-                f"mask of shape {mask.shape} on a grid of {x.shape[1:4]} nodes; give one value a node"
+                f"mask of shape {mask.shape} on a grid of {x.shape[1:4]} nodes;"
+                " give one value a node"
             )
-        scale = scale * mask[..., None].astype("float32")
-    return layers.Rescaling(scale, dtype="float32", name="displacement")(x)  # (B, nx, ny, nz, 3)
+    by = scale if mask is None else scale * mask[..., None].astype("float32")
+    last = (lib or keras).layers.Rescaling(by, dtype="float32", name="displacement")
+    return last(x)  # (B, nx, ny, nz, 3)
 
 
-def pad(x, margins):
+def reshape(x: keras.KerasTensor, shape: tuple[int, ...], lib: ModuleType) -> keras.KerasTensor:
+    """`x` in another shape, the batch too. Keras 2 has no ops of its own: its models take
+    TensorFlow's."""
+    return lib.ops.reshape(x, shape) if hasattr(lib, "ops") else tf.reshape(x, shape)
+
+
+def pad(
+    x: keras.KerasTensor,
+    margins: tuple[tuple[int, int], ...],
+    lib: ModuleType | None = None,
+) -> keras.KerasTensor:
     """Zero-pad (B, x, y, z, C) by margins ((low, high), (low, high), (low, high)), concatenating
     zeros.
 
     Not ZeroPadding3D: TensorFlow 2.21 fuses Pad and Conv3D in graph mode and loses the padding.
     Each margin must be no wider than the grid.
     """
+    layers = (lib or keras).layers
     for axis, (low, high) in enumerate(margins):
         name = "pad_" + "xyz"[axis]
         parts = [x]

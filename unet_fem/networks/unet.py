@@ -1,12 +1,22 @@
 """The paper's U-Net."""
 
+from types import ModuleType
+
 import keras
-from keras import layers
+import numpy as np
 
 from unet_fem.networks.layers import displacement_layer, pad
 
 
-def unet(grid=(17, 17, 8), filters=64, *, force_scale=1.0, displacement_scale=1.0, mask=None):
+def unet(
+    grid: tuple[int, int, int] = (17, 17, 8),
+    filters: int = 64,
+    *,
+    force_scale: float = 1.0,
+    displacement_scale: float = 1.0,
+    mask: np.ndarray | None = None,
+    lib: ModuleType | None = None,
+) -> keras.Model:
     """U-Net: force (B, nx, ny, nz, 3) in mN -> displacement (B, nx, ny, nz, 3) in mm.
 
     The paper counts six convolutions in the decoder and lists five (64, 64, 128, 64, 3). Here the
@@ -18,17 +28,20 @@ def unet(grid=(17, 17, 8), filters=64, *, force_scale=1.0, displacement_scale=1.
 
     grid: nodes (nx, ny, nz). filters: channels of the first convolution. force_scale: mN.
     displacement_scale: mm.
-    mask: (nx, ny, nz) bool, the free material nodes; None for all.
+    mask: (nx, ny, nz) bool, the free material nodes; None for all. lib: the Keras to build with,
+    keras if None.
     """
+    lib = lib or keras
+    layers = lib.layers
     odd_x, odd_y, odd_z = (n % 2 for n in grid)
     margins = ((0, odd_x), (0, odd_y), (odd_z, 0))
 
     def conv(x, channels, name):
         return layers.Conv3D(channels, 3, padding="same", activation="relu", name=name)(x)
 
-    force = keras.Input((*grid, 3), name="force")  # (B, nx, ny, nz, 3)
+    force = lib.Input((*grid, 3), name="force")  # (B, nx, ny, nz, 3)
     x = layers.Rescaling(1 / force_scale, dtype="float32", name="force_scaled")(force)
-    x = pad(x, margins)  # (B, X, Y, Z, 3), all even
+    x = pad(x, margins, lib)  # (B, X, Y, Z, 3), all even
     x = conv(x, filters, "encoder_conv1")
     skip = conv(x, filters, "encoder_conv2")  # (B, X, Y, Z, f)
     x = layers.MaxPooling3D(2, name="pool")(skip)  # (B, X/2, Y/2, Z/2, f)
@@ -46,4 +59,4 @@ def unet(grid=(17, 17, 8), filters=64, *, force_scale=1.0, displacement_scale=1.
     )  # (B, X, Y, Z, 3)
     if any((odd_x, odd_y, odd_z)):
         x = layers.Cropping3D(margins, dtype="float32", name="crop")(x)  # (B, nx, ny, nz, 3)
-    return keras.Model(force, displacement_layer(x, displacement_scale, mask), name="unet")
+    return lib.Model(force, displacement_layer(x, displacement_scale, mask, lib), name="unet")

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 from fem.errors import InputError
+from unet_fem.training.run import read_settings
 
 
 def train_networks(study):
@@ -12,7 +13,7 @@ def train_networks(study):
     for number, network in enumerate(study.networks, 1):
         settings = network.settings
         written = settings.folder / "config.toml"
-        if written.is_file() and written.read_text() != settings.toml():
+        if written.is_file() and read_settings(settings.folder) != settings:
             raise InputError(
                 f"{settings.folder} was made with other settings than the study's network '{network.name}'; delete it or rename the network"
             )

@@ -1,35 +1,18 @@
-"""The files of a training run, each written beside its place and then moved there."""
+"""What a training run keeps after each epoch, each file written whole or not at all."""
 
 import json
-import os
+import math
 import time
+import warnings
 from pathlib import Path
 
 import keras
 
 from fem.errors import InputError
-from fem.files import write_text
-from unet_fem.networks.layers import float32_twin
+from fem.files import replacing, write_text
+from unet_fem.networks.files import load_model, save_model
 
-
-def save_model(model, path):
-    """Write a whole Keras model in float32 to `path` (.keras), at once or not at all."""
-    path = Path(path)
-    partial = path.with_name(f".partial-{path.name}")
-    keras.saving.save_model(float32_twin(model), partial)
-    os.replace(partial, path)
-
-
-def load_model(path):
-    """The Keras model at `path`. Raises InputError if it is missing or damaged."""
-    if not Path(path).is_file():
-        raise InputError(f"no model {path}; train one with python -m unet_fem.train")
-    try:
-        return keras.saving.load_model(path, compile=False)
-    except (ValueError, OSError, KeyError) as error:
-        raise InputError(
-            f"{path} cannot be loaded ({str(error).splitlines()[0]}); delete it and train again"
-        ) from None
+__all__ = ["Checkpoint", "load_model", "save_model"]
 
 
 class Checkpoint(keras.callbacks.Callback):
@@ -37,43 +20,51 @@ class Checkpoint(keras.callbacks.Callback):
     optimizer, step).
 
     The step count of the optimizer says how far a checkpoint is, so a kill between two files does
-    no harm.
+    no harm. history: {name: value of each epoch}.
     """
 
-    def __init__(self, folder, steps_per_epoch):
+    def __init__(self, folder: Path | str, steps_per_epoch: int) -> None:
         super().__init__()
         self.folder, self.steps_per_epoch = Path(folder), steps_per_epoch
         self.weights = self.folder / "checkpoint.weights.h5"
         self.history_file = self.folder / "history.json"
-        self.history = {}
+        self.history: dict[str, list[float]] = {}
 
-    def restore(self, model):
+    def restore(self, model: keras.Model) -> int:
         """Load the checkpoint into the compiled `model`, if there is one. Returns the number of
-        finished epochs."""
+        finished epochs. Raises InputError for a checkpoint that is damaged or another model's."""
         if not self.weights.is_file():
             return 0
         model.optimizer.build(model.trainable_variables)
         try:
-            model.load_weights(self.weights)
+            with warnings.catch_warnings():  # what does not fit is told in one line below
+                warnings.simplefilter("ignore")
+                model.load_weights(self.weights)
             history = json.loads(self.history_file.read_text())
         except (ValueError, OSError, KeyError) as error:
             raise InputError(
-                f"{self.weights} does not fit this model or is damaged ({str(error).splitlines()[0]}); give another name= or delete {self.folder}"
+                f"{self.weights} does not fit this model or is damaged"
+                f" ({str(error).splitlines()[0]}); give another name= or delete {self.folder}"
             ) from None
         done = int(model.optimizer.iterations) // self.steps_per_epoch
         self.history = {name: values[:done] for name, values in history.items()}
         return done
 
-    def on_epoch_begin(self, epoch, logs=None):
+    @property
+    def best(self) -> int | None:
+        """The epoch, from 0, whose model is kept: the least finite error; None without one."""
+        errors = self.history.get("val_relative_error", [])
+        finite = [epoch for epoch, error in enumerate(errors) if math.isfinite(error)]
+        return min(finite, key=lambda epoch: (errors[epoch], -epoch), default=None)
+
+    def on_epoch_begin(self, epoch: int, logs: dict | None = None) -> None:
         self.began = time.monotonic()
 
-    def on_epoch_end(self, epoch, logs=None):
-        for name, value in {**logs, "seconds": time.monotonic() - self.began}.items():
+    def on_epoch_end(self, epoch: int, logs: dict | None = None) -> None:
+        for name, value in {**(logs or {}), "seconds": time.monotonic() - self.began}.items():
             self.history.setdefault(name, []).append(float(value))
         write_text(self.history_file, json.dumps(self.history, indent=1))
-        errors = self.history["val_relative_error"]
-        if errors[-1] == min(errors):
+        if self.best == len(self.history["val_relative_error"]) - 1:
             save_model(self.model, self.folder / "best.keras")
-        partial = self.weights.with_name(f".partial-{self.weights.name}")
-        self.model.save_weights(partial)
-        os.replace(partial, self.weights)
+        with replacing(self.weights) as partial:
+            self.model.save_weights(partial)

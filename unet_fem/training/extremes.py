@@ -1,11 +1,17 @@
 """Loads that no training set holds: the networks beside the FEM far from what they have learned."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from fem.contact.push import Contact, Load
 from fem.contact.surface import Surface
+from fem.data.dataset import Dataset
 from fem.errors import SolverStopped
 from fem.solver.energy import EnergyLedger
+from unet_fem.metrics import relative_l2
+from unet_fem.networks.registry import Model
+from unet_fem.training.losses import deformed_volume
 from unet_fem.training.samples import windows
 
 FRAMES, RAMP = 5, 0.5  # frames of the scene's interval, and seconds over which the load rises
@@ -86,26 +92,23 @@ def fem_response(dataset, load):
     return *dataset.on_grid(force, displacement), volume
 
 
-def judge_extremes(models, dataset, steps):
-    """{case: {model: figures}} for {name: Keras model}; the FEM's entry says why it stopped where
-    it did.
+def judge_extremes(models: dict[str, Model], dataset: Dataset, steps: int | None) -> dict:
+    """{case: {model: figures}} for {name: Keras model or Regression}; the FEM's entry says why it
+    stopped where it did.
 
     relative_l2 is over the frames under load (None without motion), worst_mm the largest nodal
     error, and volume_violation_max the largest relative change of volume. steps: of the models'
     window, or None.
     """
-    from unet_fem.training.losses import deformed_volume
-
     mesh = dataset.fem_mesh
     rest = dataset.rest_volume
-    result = {}
+    result: dict[str, dict[str, dict]] = {}
     for case, load in extreme_loads(mesh, dataset.scene.contact).items():
         try:
             force, truth, volume = fem_response(dataset, load)
         except SolverStopped as stop:
             result[case] = {"FEM": {"stopped": stop.reason}}
             continue
-        size = np.linalg.norm(truth)
         result[case] = {
             "FEM": {
                 "largest_mm": _largest(truth),
@@ -116,9 +119,7 @@ def judge_extremes(models, dataset, steps):
             prediction = np.asarray(model(windows(force[None], steps)))
             moved = np.asarray(deformed_volume(prediction, *dataset.surface), float)
             result[case][name] = {
-                "relative_l2": float(np.linalg.norm(prediction - truth) / size)
-                if size > 0
-                else None,
+                "relative_l2": relative_l2(prediction, truth),
                 "worst_mm": _largest(prediction - truth),
                 "volume_violation_max": float(np.abs(moved / rest - 1).max()),
             }
@@ -129,7 +130,7 @@ def _largest(field):
     return float(np.linalg.norm(field, axis=-1).max())
 
 
-def extremes_table(result, models):
+def extremes_table(result: dict, models: Iterable[str]) -> str:
     """The result of `judge_extremes` as text."""
     lines = [
         "",

@@ -1,33 +1,39 @@
-"""Train the network of some settings, from its dataset to its metrics."""
+"""Train the network of some settings, or fit the regression, from its dataset to its metrics."""
 
+import math
+import random
 import sys
 import time
 
-from unet_fem.networks.ridge import RIDGES
-from unet_fem.training.run import ensure_dataset, prepare_folder
+import keras
+import numpy as np
+
+from fem.data.dataset import Dataset
+from fem.errors import InputError
+from unet_fem.networks.registry import network
+from unet_fem.training import losses
+from unet_fem.training import samples as data
+from unet_fem.training.checkpoint import Checkpoint
+from unet_fem.training.judge import evaluate
+from unet_fem.training.precision import precision
+from unet_fem.training.regressions import fit_regression, linear_regression
+from unet_fem.training.run import model_file
+from unet_fem.training.samples import Samples
+from unet_fem.training.settings import Settings
 
 
-def build_model(settings, dataset, force_scale, displacement_scale):
-    """The untrained network of `settings` for the grid of `dataset`."""
-    from unet_fem.networks.cnn_lstm import cnn_lstm
-    from unet_fem.networks.unet import unet
-
-    scale = {
-        "force_scale": force_scale,
-        "displacement_scale": displacement_scale,
-        "mask": dataset.free,
-    }
-    choice = settings.model
-    if choice.kind == "unet":
-        return unet(dataset.grid, choice.filters, **scale)
-    return cnn_lstm(dataset.grid, choice.units, choice.steps, **scale)
+def build_model(
+    settings: Settings, dataset: Dataset, force_scale: float, displacement_scale: float
+) -> keras.Model:
+    """The untrained network of `settings` for the grid of `dataset`; scales in mN and mm."""
+    scales = force_scale, displacement_scale
+    row = network(settings.model.kind)
+    return row.build(dataset.grid, settings.model, scales, dataset.free)
 
 
-def build_loss(settings, dataset):
+def build_loss(settings: Settings, dataset: Dataset) -> losses.Loss:
     """The loss of `settings` for the mesh of `dataset`, see
     unet_fem.training.losses.volume_loss."""
-    from unet_fem.training import losses
-
     choice = settings.loss
     return losses.volume_loss(
         *dataset.surface,
@@ -37,14 +43,12 @@ def build_loss(settings, dataset):
     )
 
 
-def compile_model(model, settings, dataset, steps_per_epoch):
+def compile_model(
+    model: keras.Model, settings: Settings, dataset: Dataset, steps_per_epoch: int
+) -> None:
     """Adam, the loss and the metrics of `settings`; the learning rate is a function of the step, so
     a resumed run keeps it."""
-    import keras
-
-    from unet_fem.training import losses
-
-    choice = settings.train
+    choice, (points, faces) = settings.train, dataset.surface
     rate = choice.learning_rate
     if choice.schedule == "cosine":
         rate = keras.optimizers.schedules.CosineDecay(rate, choice.epochs * steps_per_epoch)
@@ -55,36 +59,35 @@ def compile_model(model, settings, dataset, steps_per_epoch):
         build_loss(settings, dataset),
         metrics=[
             losses.RelativeError(),
-            losses.gate_open(*dataset.surface, settings.loss.volume_threshold),
+            losses.gate_open(points, faces, settings.loss.volume_threshold),
         ],
     )
 
 
-def targets(samples, settings):
+def targets(samples: Samples, settings: Settings) -> np.ndarray:
     """What the loss compares with: the displacement, and the last force beside it if the direction
     term needs it."""
-    import numpy as np
-
     if not settings.loss.direction_weight:
         return samples.displacement
     return np.concatenate([samples.displacement, samples.last_force], axis=-1)
 
 
-def fit(model, settings, train, validation):
+def fit(
+    model: keras.Model, settings: Settings, train: Samples, validation: Samples
+) -> dict[str, list[float]]:
     """Train from the checkpoint in the run's folder, or from the start if there is none. Returns
-    the history."""
-    import keras
-
-    from unet_fem.training.checkpoint import Checkpoint
-    from unet_fem.training.samples import batches
-
+    the history. Raises InputError where no epoch gave a finite error."""
     choice = settings.train
     steps = -(-len(train) // choice.batch_size)
     checkpoint = Checkpoint(settings.folder, steps)
     first = checkpoint.restore(model)
+    if first:
+        print(f"going on after {first} of {choice.epochs} epochs", flush=True)
     if first < choice.epochs:
         model.fit(
-            batches(train.force, targets(train, settings), choice.batch_size, choice.seed, first),
+            data.batches(
+                train.force, targets(train, settings), choice.batch_size, choice.seed, first
+            ),
             steps_per_epoch=steps,
             epochs=choice.epochs,
             initial_epoch=first,
@@ -97,49 +100,57 @@ def fit(model, settings, train, validation):
             ],
             verbose=1 if sys.stdout.isatty() else 2,
         )
+    if checkpoint.best is None:
+        raise InputError(
+            f"training has diverged: no epoch gave a finite error; delete {settings.folder} and"
+            f" lower train.learning_rate = {choice.learning_rate:g}"
+        )
+    if not math.isfinite(checkpoint.history["val_relative_error"][-1]):
+        print(
+            f"training has diverged: the last error is not finite, the model kept is that of epoch"
+            f" {checkpoint.best + 1}; lower train.learning_rate = {choice.learning_rate:g}"
+        )
     return checkpoint.history
 
 
-def train(settings, resume=False):
-    """Everything that `settings` asks for, into settings.folder. Returns the metrics of
-    unet_fem.evaluate."""
-    folder = settings.folder
-    prepare_folder(settings, resume)
-    dataset = ensure_dataset(settings)
+def train_run(settings: Settings, dataset: Dataset, samples: tuple[Samples, Samples]) -> dict:
+    """All that `settings` asks for on its dataset, into settings.folder, which
+    unet_fem.training.run has made. samples: for training and validation. Returns the metrics."""
+    if network(settings.model.kind).fitter:
+        print(f"fitting the {network(settings.model.kind).label}", flush=True)
+        fit_regression(dataset, settings.model, samples).save(model_file(settings))
+    else:
+        train_network(settings, dataset, *samples)
+    return evaluate(settings, dataset)
 
-    import keras
 
-    from unet_fem.networks.linear import linear_regression
-    from unet_fem.training import samples as data
-    from unet_fem.training.checkpoint import save_model
-    from unet_fem.training.judge import evaluate
+def seed(number: int) -> None:
+    """Seed Keras, NumPy and Python, at the place in Python's sequence where the published runs
+    began: behind two draws for the Keras layers that their linear regression was made of."""
+    keras.utils.set_random_seed(number)
+    for _ in range(2):
+        random.randint(1, 10**9)
 
+
+def train_network(
+    settings: Settings, dataset: Dataset, train: Samples, validation: Samples
+) -> None:
+    """Train the network of `settings`, and fit the linear regression that it is compared with."""
     started = time.monotonic()
-    keras.utils.set_random_seed(settings.train.seed)
-    keras.mixed_precision.set_global_policy(settings.train.precision)
-    samples = {
-        split: data.load_samples(dataset, split, settings.model.window)
-        for split in ("train", "validation")
-    }
+    seed(settings.train.seed)
     print("fitting the linear regression", flush=True)
-    linear = linear_regression(
-        samples["train"].force,
-        samples["train"].displacement,
-        dataset.free,
-        RIDGES,
-        (samples["validation"].force, samples["validation"].displacement),
-    )
-    save_model(linear, folder / "linear.keras")
-    model = build_model(settings, dataset, *data.scales(samples["train"]))
-    compile_model(model, settings, dataset, -(-len(samples["train"]) // settings.train.batch_size))
-    print(
-        f"training {model.name}: {model.count_params():,} parameters, {len(samples['train'])} training and "
-        f"{len(samples['validation'])} validation samples, {settings.train.epochs} epochs",
-        flush=True,
-    )
-    history = fit(model, settings, samples["train"], samples["validation"])
+    linear_regression(settings, dataset, (train, validation))
+    with precision(settings.train.precision):
+        model = build_model(settings, dataset, *data.scales(train))
+        compile_model(model, settings, dataset, -(-len(train) // settings.train.batch_size))
+        print(
+            f"training {model.name}: {model.count_params():,} parameters, {len(train)} training and"
+            f" {len(validation)} validation samples, {settings.train.epochs} epochs",
+            flush=True,
+        )
+        history = fit(model, settings, train, validation)
     opened = max(history["gate_open"])
     print(
-        f"trained in {time.monotonic() - started:.0f} s; the volume gate was open for at most {100 * opened:.2f} % of an epoch's samples"
+        f"trained in {time.monotonic() - started:.0f} s; the volume gate was open for at most"
+        f" {100 * opened:.2f} % of an epoch's samples"
     )
-    return evaluate(settings, dataset)

@@ -1,11 +1,25 @@
-"""Errors and volume violation of trained networks on unseen interactions."""
+"""Errors and volume violation of trained models on unseen interactions."""
 
 import json
 
 import numpy as np
 
+from fem.data.dataset import Dataset
 from fem.errors import InputError
+from fem.files import write_text
+from fem.online.regression import Regression
+from unet_fem.metrics import relative_l2_of_sums
+from unet_fem.networks.files import load_model
+from unet_fem.networks.registry import Linear, Model, network
+from unet_fem.training import figures
+from unet_fem.training.extremes import extremes_table, judge_extremes
+from unet_fem.training.losses import deformed_volume
+from unet_fem.training.regressions import linear_regression
+from unet_fem.training.run import model_file
+from unet_fem.training.samples import Samples, load_samples
+from unet_fem.training.settings import Settings
 
+BATCH = 32  # samples that are predicted at once
 COLUMNS = {  # key in metrics.json: (heading, format)
     "relative_l2": ("relative L2 %", lambda x: f"{100 * x:.1f}"),
     "mean_mm": ("mean mm", "{:.4f}".format),
@@ -16,7 +30,9 @@ COLUMNS = {  # key in metrics.json: (heading, format)
 }
 
 
-def error_metrics(prediction, samples, dataset, volume):
+def error_metrics(
+    prediction: np.ndarray, samples: Samples, dataset: Dataset, volume: np.ndarray
+) -> dict[str, float | None]:
     """Errors of `prediction` (S, nx, ny, nz, 3) mm against the FEM over the free nodes, and the
     violation of volume.
 
@@ -26,116 +42,104 @@ def error_metrics(prediction, samples, dataset, volume):
     """
     error = np.linalg.norm((prediction - samples.displacement)[:, dataset.free], axis=-1)  # (S, n)
     truth = np.linalg.norm(samples.displacement[:, dataset.free], axis=-1)
-    violation = np.abs(volume / rest_volume(dataset) - 1)
+    sums = (np.sum(values**2, dtype=float) for values in (error, truth))
     return {
-        "relative_l2": float(
-            np.sqrt(np.sum(error**2, dtype=float) / np.sum(truth**2, dtype=float))
-        ),
+        "relative_l2": relative_l2_of_sums(*sums),
         "mean_mm": float(error.mean(dtype=float)),
         "p95_mm": float(np.percentile(error, 95)),
         "worst_mm": float(error.max()),
+    } | volume_violations(volume, rest_volume(dataset))
+
+
+def volume_violations(volume: np.ndarray, rest: float) -> dict[str, float]:
+    """Mean and largest relative change of `volume` (S,) from `rest`."""
+    violation = np.abs(volume / rest - 1)
+    return {
         "volume_violation_mean": float(violation.mean()),
         "volume_violation_max": float(violation.max()),
     }
 
 
-def rest_volume(dataset):
+def rest_volume(dataset: Dataset) -> float:
+    """Of the mesh of the grid, mm3."""
     return dataset.rest_volume
 
 
-def predict(model, samples, dataset):
+def predict(model: Model, samples: Samples, dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """(displacement (S, nx, ny, nz, 3) mm, volume (S,) mm3) that `model` gives. Raises InputError
     if it is not finite."""
-    from unet_fem.training.losses import deformed_volume
-
-    if tuple(model.input_shape[1:]) != samples.force.shape[1:]:
+    takes = tuple(model.input_shape[1:])
+    if takes != samples.force.shape[1:]:
         raise InputError(
-            f"the model takes force windows {tuple(model.input_shape[1:])}, the dataset gives {samples.force.shape[1:]}:"
+            f"the model takes force windows {takes}, the dataset gives {samples.force.shape[1:]}:"
             " it was trained on another grid or window; train again"
         )
-    prediction = np.concatenate(
-        [np.asarray(model(samples.force[i : i + 32])) for i in range(0, len(samples), 32)]
-    )
-    if not np.isfinite(prediction).all():
-        raise InputError(
-            "the model's prediction is not finite; its training has diverged: lower train.learning_rate"
-        )
-    return prediction, np.asarray(deformed_volume(prediction, *dataset.surface), float)
+    fields, volumes = [], []
+    for start in range(0, len(samples), BATCH):
+        field = np.asarray(model(samples.force[start : start + BATCH]))
+        if not np.isfinite(field).all():
+            raise InputError(
+                "the model's prediction is not finite; its training has diverged:"
+                " lower train.learning_rate"
+            )
+        fields.append(field)
+        volumes.append(np.asarray(deformed_volume(field, *dataset.surface), float))
+    return np.concatenate(fields), np.concatenate(volumes)
 
 
-def evaluate(settings, dataset):
+def competitors(settings: Settings, dataset: Dataset) -> dict[str, Model]:
+    """{name: model}: what the run has made, and the linear regression on the same window."""
+    kind = settings.model.kind
+    models: dict[str, Model] = {
+        kind: (Regression.load if network(kind).fitter else load_model)(model_file(settings))
+    }
+    if kind != Linear.kind:
+        models["linear regression"] = linear_regression(settings, dataset)
+    return models
+
+
+def evaluate(settings: Settings, dataset: Dataset) -> dict:
     """Metrics of the run's best model and of its linear regression, written to its folder with the
     figures."""
-    from fem.files import write_text
-    from unet_fem.training import figures
-    from unet_fem.training.checkpoint import load_model
-    from unet_fem.training.extremes import extremes_table, judge_extremes
-    from unet_fem.training.samples import load_samples
-
-    folder = settings.folder
-    models = {
-        settings.model.kind: load_model(folder / "best.keras"),
-        "linear regression": load_model(folder / "linear.keras"),
-    }
-    parts = {
-        split: load_samples(dataset, split, settings.model.window)
-        for split in ("validation", "test")
-    }
-    metrics = {name: {} for name in (*models, "FEM")}
-    test_predictions = {}
-    for split, samples in parts.items():
+    models, window = competitors(settings, dataset), settings.model.window
+    metrics: dict[str, dict] = {name: {} for name in (*models, "FEM")}
+    for split in ("validation", "test"):
+        samples = load_samples(dataset, split, window)
         print(f"evaluating {len(samples)} {split} samples", flush=True)
-        for name, model in models.items():
-            prediction, volume = predict(model, samples, dataset)
-            metrics[name][split] = error_metrics(prediction, samples, dataset, volume)
-            if split == "test":
-                hard = samples.hard
-                metrics[name]["hard"] = error_metrics(
-                    prediction[hard], samples.select(hard), dataset, volume[hard]
-                )
-                test_predictions[name] = prediction, volume
-        for which, rows in (
-            (split, slice(None)),
-            *((("hard", samples.hard),) if split == "test" else ()),
-        ):
-            violation = np.abs(
-                samples.volume[rows] / samples.volume[0] - 1
-            )  # the first sample is at rest
-            metrics["FEM"][which] = {
-                "volume_violation_mean": float(violation.mean()),
-                "volume_violation_max": float(violation.max()),
-            }
-    metrics["extremes"] = judge_extremes(models, dataset, settings.model.window)
-    write_text(folder / "metrics.json", json.dumps(metrics, indent=1))
-    figures.draw_all(folder / "figures", dataset, parts["test"], test_predictions)
+        predictions = {name: predict(model, samples, dataset) for name, model in models.items()}
+        parts = {split: slice(None)} | ({"hard": samples.hard} if split == "test" else {})
+        for part, rows in parts.items():
+            chosen = samples.select(rows)
+            for name, (field, volume) in predictions.items():
+                metrics[name][part] = error_metrics(field[rows], chosen, dataset, volume[rows])
+            at_rest = samples.volume[0]  # the first sample is at rest
+            metrics["FEM"][part] = volume_violations(chosen.volume, at_rest)
+    metrics["extremes"] = judge_extremes(models, dataset, window)
+    write_text(settings.folder / "metrics.json", json.dumps(metrics, indent=1))
+    gate = settings.loss.volume_threshold
+    figures.draw_all(settings.folder / "figures", dataset, samples, predictions, gate)
     print(table(metrics, dataset))
     print(extremes_table(metrics["extremes"], models))
     return metrics
 
 
-def table(metrics, dataset):
+def table(metrics: dict, dataset: Dataset) -> str:
     """The metrics as text, a block for each split."""
     counts = {
         "validation": (dataset.split == "validation").sum(),
         "test": (dataset.split == "test").sum(),
         "hard": dataset.hard.sum(),
     }
-    lines = []
     rows = {name: splits for name, splits in metrics.items() if name != "extremes"}
+    lines = []
     for split, count in counts.items():
-        lines += [
-            "",
-            f"{split} ({count} interactions)"
-            + "".join(f"  {heading}" for heading, _ in COLUMNS.values()),
-        ]
-        pad = len(f"{split} ({count} interactions)")
+        title = f"{split} ({count} interactions)"
+        headings = "".join(f"  {heading}" for heading, _ in COLUMNS.values())
+        lines += ["", title + headings]
         for name, splits in rows.items():
-            cells = [
-                form(splits[split][key]) if key in splits[split] else "-"
-                for key, (_, form) in COLUMNS.items()
-            ]
             row = "".join(
-                f"  {cell:>{len(heading)}}" for cell, (heading, _) in zip(cells, COLUMNS.values())
+                f"  {form(splits[split][key]) if key in splits[split] else '-':>{len(heading)}}"
+                for key, (heading, form) in COLUMNS.items()
             )
-            lines.append(name.ljust(pad) + row)
+            lines.append(name.ljust(len(title)) + row)
     return "\n".join(lines)

@@ -5,14 +5,21 @@ Lengths are in mm and volumes in mm3. A model compiled with these closures is lo
 `compile=False`.
 """
 
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
 import keras
 import numpy as np
 from keras import ops
 
 from fem.errors import InputError
+from fem.online.volume import VOLUME_BAND
+
+Tensor: TypeAlias = Any  # of Keras's backend, or an array
+Loss = Callable[[Tensor, Tensor], Tensor]  # (y_true, y_pred) -> (B,)
 
 
-def deformed_volume(displacement, points, faces):
+def deformed_volume(displacement: Tensor, points: np.ndarray, faces: np.ndarray) -> Tensor:
     """Volume (B,) in mm3 of the hexahedral mesh moved by displacement (B, nx, ny, nz, 3) in mm.
 
     By the divergence theorem V = 1/3 sum over boundary faces of int x . n dA: faces inside the mesh
@@ -36,7 +43,14 @@ def deformed_volume(displacement, points, faces):
     return ops.sum((a + b + c + d) * ops.cross(c - a, d - b), axis=(1, 2)) / 24
 
 
-def volume_loss(points, faces, *, weight=0.1, threshold=0.07, direction_weight=0.0):
+def volume_loss(
+    points: np.ndarray,
+    faces: np.ndarray,
+    *,
+    weight: float = 0.1,
+    threshold: float = VOLUME_BAND,
+    direction_weight: float = 0.0,
+) -> Loss:
     """The paper's loss as a function (y_true, y_pred) -> (B,), whose mean over the batch Keras
     takes:
 
@@ -66,7 +80,7 @@ def volume_loss(points, faces, *, weight=0.1, threshold=0.07, direction_weight=0
     return loss
 
 
-def direction_loss(force, displacement, smoothing=1e-3):
+def direction_loss(force: Tensor, displacement: Tensor, smoothing: float = 1e-3) -> Tensor:
     """Mean over the loaded nodes of ReLU(1 - cos(force, displacement)): (B,), zero for a sample
     without load.
 
@@ -83,7 +97,7 @@ def direction_loss(force, displacement, smoothing=1e-3):
     return ops.sum(penalty, axis=(1, 2, 3)) / ops.maximum(count, 1)
 
 
-def gate_open(points, faces, threshold=0.07):
+def gate_open(points: np.ndarray, faces: np.ndarray, threshold: float = VOLUME_BAND) -> Loss:
     """Metric: fraction of predictions whose volume is off by more than threshold, those the volume
     term acts on."""
     origin = volume_at_rest(points, faces)
@@ -95,7 +109,7 @@ def gate_open(points, faces, threshold=0.07):
     return gate_open
 
 
-def volume_violation(points, faces):
+def volume_violation(points: np.ndarray, faces: np.ndarray) -> Loss:
     """Metric: mean over the predictions of |V_t - V_origin| / V_origin."""
     origin = volume_at_rest(points, faces)
 
@@ -112,12 +126,15 @@ class RelativeError(keras.metrics.Metric):
     sample_weight (B,) weighs both sums.
     """
 
-    def __init__(self, name="relative_error", **kwargs):
+    def __init__(self, name: str = "relative_error", **kwargs: object) -> None:
         super().__init__(name=name, **kwargs)
         self.squared_error = self.add_weight(name="squared_error", initializer="zeros")
         self.squared_truth = self.add_weight(name="squared_truth", initializer="zeros")
 
-    def update_state(self, y_true, y_pred, sample_weight=None):
+    def update_state(
+        self, y_true: Tensor, y_pred: Tensor, sample_weight: Tensor | None = None
+    ) -> None:
+        """Add a batch."""
         truth = ops.cast(y_true, "float32")[..., :3]
         weight = (
             1.0
@@ -129,11 +146,12 @@ class RelativeError(keras.metrics.Metric):
         )
         self.squared_truth.assign_add(ops.sum(weight * ops.square(truth)))
 
-    def result(self):
+    def result(self) -> Tensor:
+        """The error of all batches so far."""
         return ops.sqrt(ops.divide_no_nan(self.squared_error, self.squared_truth))
 
 
-def volume_at_rest(points, faces):
+def volume_at_rest(points: np.ndarray, faces: np.ndarray) -> float:
     """V_origin in mm3, a float. Raises InputError for faces that do not bound a positive volume."""
     points, faces = np.asarray(points, dtype="float64"), np.asarray(faces)
     if faces.min() < 0 or faces.max() >= len(points):

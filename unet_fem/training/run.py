@@ -1,69 +1,135 @@
-"""The folder of a training run: made, opened, and matched with its dataset."""
+"""The folder of a training run: vetted, made, opened, and matched with its dataset."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
-from fem.data.dataset import open_dataset
-from fem.data.scene import load_scene
+from fem import settings as config
+from fem.data.dataset import Dataset, open_dataset
+from fem.data.scene import Scene, load_scene
 from fem.errors import InputError
-from unet_fem.training import settings as config
+from fem.files import write_text
+from unet_fem.networks.registry import network
+from unet_fem.training.settings import Settings, foreign, from_tree
+
+# of the one table for all kinds that runs made before 0.2 hold in full
+OLD_DEFAULTS = {"units": 512, "steps": 2, "filters": 64}
 
 
-def open_run(folder):
+def read_settings(folder: Path | str) -> Settings:
+    """The settings that the run in `folder` was started with. Raises InputError if it is no run."""
+    written = Path(folder, "config.toml")
+    if not written.is_file():
+        raise InputError(
+            f"{folder} is not a training run (it has no config.toml);"
+            " make one with python -m unet_fem.train"
+        )
+    tree = config.read_toml(written)
+    model = tree.get("model", {})
+    # migration: runs made before 0.2 hold the options of every kind, those of others at their
+    # defaults
+    for name in foreign(model, network(model.get("kind", "cnn_lstm")).options):
+        if model[name] == OLD_DEFAULTS.get(name):
+            del model[name]
+    return from_tree(tree)
+
+
+def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
     """(settings, dataset) of the run in `folder`. Raises InputError if it is no run or does not fit
     its dataset."""
-    folder = Path(folder)
-    if not (folder / "config.toml").is_file():
+    settings = read_settings(folder)
+    if settings.folder.resolve() != Path(folder).resolve():
         raise InputError(
-            f"{folder} is not a training run (it has no config.toml); make one with python -m unet_fem.train"
-        )
-    settings = config.load_settings(folder / "config.toml")
-    if settings.folder.resolve() != folder.resolve():
-        raise InputError(
-            f"{folder} was made as {settings.folder}; run from the folder that holds {settings.folder}"
+            f"{folder} was made as {settings.folder};"
+            f" run from the folder that holds {settings.folder}"
         )
     return settings, open_dataset(settings.data)
 
 
-def ensure_dataset(settings):
-    """The dataset of `settings`, generated first if its file is missing. Raises InputError if it is
-    another scene's."""
-    scene, path = load_scene(settings.scene), Path(settings.data)
-    if not path.is_file():
-        print(
-            f"{path} is missing: simulating {len(scene.interactions.all())} interactions of {settings.scene}",
-            flush=True,
+def model_file(settings: Settings) -> Path:
+    """Where the run keeps what it has made: its best network, or its regression."""
+    fitted = network(settings.model.kind).fitter
+    return settings.folder / ("regression.npz" if fitted else "best.keras")
+
+
+def vet(settings: Settings, resume: bool = False) -> None:
+    """Raises InputError for all that can be wrong with `settings` before anything is made: the
+    folder, the scene, the dataset if there is one, and the network on its grid."""
+    vet_folder(settings, resume)
+    scene = load_scene(settings.scene)
+    if Path(settings.data).is_file():
+        grid = matching_dataset(settings, scene).grid
+    else:
+        grid = scene.mesh.grid or scene.mesh.build().grid_shape
+    if grid:  # without one the dataset cannot be made, and making it tells why
+        settings.model.check(grid)
+
+
+def vet_folder(settings: Settings, resume: bool = False) -> None:
+    """Raises InputError if the run's folder holds another run, or this one finished without
+    `resume`, or none with `resume`."""
+    folder = settings.folder
+    if not (folder / "config.toml").is_file():
+        if resume:
+            raise InputError(f"there is no run {folder} to resume; leave --resume out to start it")
+        return
+    if read_settings(folder) != settings:
+        raise InputError(
+            f"{folder} was started with other settings (see {folder / 'config.toml'});"
+            " give the same, or another name="
         )
-        # a process of its own: its workers would otherwise import this one's libraries
-        code = subprocess.run(
-            [sys.executable, "-m", "fem.generate", settings.scene, "--out", str(path), "--quiet"]
-        ).returncode
-        if code:
-            sys.exit(code)
-    dataset = open_dataset(path)
+    if finished(settings) and not resume:
+        raise InputError(
+            f"{folder} exists already and is finished; give another name=, or judge it again with"
+            f" python -m unet_fem.evaluate {folder}"
+        )
+
+
+def finished(settings: Settings) -> bool:
+    """Whether the run has had all its epochs and was judged."""
+    history = settings.folder / "history.json"  # a regression has none
+    if not (settings.folder / "metrics.json").is_file():
+        return False
+    if not history.is_file():
+        return True
+    epochs = [len(values) for values in json.loads(history.read_text()).values()]
+    return settings.train.epochs <= max(epochs, default=0)
+
+
+def prepare_folder(settings: Settings, resume: bool = False) -> None:
+    """Make the run's folder with its settings, see `vet_folder`."""
+    vet_folder(settings, resume)
+    write_text(settings.folder / "config.toml", settings.toml())
+
+
+def matching_dataset(settings: Settings, scene: Scene) -> Dataset:
+    """The dataset of `settings`. Raises InputError if it is missing, damaged or another
+    scene's."""
+    dataset = open_dataset(settings.data)
     if dataset.scene != scene:
         raise InputError(
-            f"{path} was made from another scene than {settings.scene}; delete it or give another data="
+            f"{settings.data} was made from another scene than {settings.scene};"
+            " delete it or give another data="
         )
     return dataset
 
 
-def prepare_folder(settings, resume):
-    """Make the run's folder with its settings. Raises InputError if it holds another run, or this
-    one without `resume`."""
-    folder, text = settings.folder, settings.toml()
-    written = folder / "config.toml"
-    if written.is_file():
-        if not resume:
+def ensure_dataset(settings: Settings) -> Dataset:
+    """The dataset of `settings`, generated first if its file is missing. Raises InputError if it
+    cannot be made or is another scene's, KeyboardInterrupt if making it was interrupted."""
+    scene, path = load_scene(settings.scene), Path(settings.data)
+    if not path.is_file():
+        count = len(scene.interactions.all())
+        print(f"{path} is missing: simulating {count} interactions of {settings.scene}", flush=True)
+        # a process of its own: its workers would otherwise import this one's libraries
+        command = ["-m", "fem.generate", settings.scene, "--out", str(path), "--quiet"]
+        code = subprocess.run([sys.executable, *command]).returncode
+        if code == 130:
+            raise KeyboardInterrupt
+        if code:
             raise InputError(
-                f"{folder} exists already; add --resume to go on with it, or give another name="
+                f"{path} was not made, for the reason above (exit code {code});"
+                " mend it and give the same command again"
             )
-        if written.read_text() != text:
-            raise InputError(
-                f"{folder} was started with other settings (see {written}); give the same, or another name="
-            )
-    elif resume:
-        raise InputError(f"there is no run {folder} to resume; leave --resume out to start it")
-    folder.mkdir(parents=True, exist_ok=True)
-    written.write_text(text)
+    return matching_dataset(settings, scene)

@@ -1,14 +1,16 @@
 """From the interactions of a dataset to the samples that a network learns from."""
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from fem.data.dataset import Dataset
 from fem.errors import InputError
 
 
-def windows(force, steps):
+def windows(force: np.ndarray, steps: int | None) -> np.ndarray:
     """Force windows that end at each frame, in order of interaction and frame; before the first
     frame there is no force.
 
@@ -40,19 +42,20 @@ class Samples:
     hard: np.ndarray
     volume: np.ndarray
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.displacement)
 
     @property
-    def last_force(self):
+    def last_force(self) -> np.ndarray:
         """(S, nx, ny, nz, 3) mN of the window's last frame."""
         return self.force if self.force.ndim == 5 else self.force[:, -1]
 
-    def select(self, rows):
+    def select(self, rows: np.ndarray | slice) -> "Samples":
+        """Those of some rows."""
         return Samples(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
-def load_samples(dataset, split, steps):
+def load_samples(dataset: Dataset, split: str, steps: int | None) -> Samples:
     """Samples of `split` ("train", "validation", "test") of a fem.data.dataset.Dataset, with
     windows of `steps` frames."""
     fields = dataset.read(split)
@@ -66,7 +69,12 @@ def load_samples(dataset, split, steps):
     )
 
 
-def scales(samples):
+def training_samples(dataset: Dataset, steps: int | None) -> tuple[Samples, Samples]:
+    """(training, validation) samples, see `load_samples`."""
+    return load_samples(dataset, "train", steps), load_samples(dataset, "validation", steps)
+
+
+def scales(samples: Samples) -> tuple[float, float]:
     """(force_scale mN, displacement_scale mm): root mean square over the nonzero entries of the
     training data."""
     result = []
@@ -77,10 +85,13 @@ def scales(samples):
                 f"every {name} of the training data is zero; raise contact.force in the scene"
             )
         result.append(float(np.sqrt(np.mean(np.square(values, dtype=float)))))
-    return tuple(result)
+    force, displacement = result
+    return force, displacement
 
 
-def batches(force, targets, batch_size, seed, first_epoch=0):
+def batches(
+    force: np.ndarray, targets: np.ndarray, batch_size: int, seed: int, first_epoch: int = 0
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Endless shuffled batches, epoch after epoch from `first_epoch`, as (force, targets) slices.
 
     The order depends on the seed and the epoch alone, so a resumed run sees what an uninterrupted

@@ -1,14 +1,18 @@
 """The networks: the paper's sizes, where they look, and that they compute the same wherever they
 run."""
 
+import subprocess
+import sys
+
 import keras
 import numpy as np
 import pytest
+import tf_keras
 
 from fem.errors import InputError
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.networks.layers import float32_twin
-from unet_fem.networks.linear import linear_regression
+from unet_fem.networks.registry import NETWORKS, network, resolve
 from unet_fem.networks.unet import unet
 
 SMALL = (9, 9, 5)
@@ -197,76 +201,44 @@ def test_mixed_precision_ends_in_float32_and_has_a_float32_twin(name, bfloat16):
     np.testing.assert_allclose(mixed(x), twin(x), atol=0.05)
 
 
-def linear_problem(samples, steps=None, noise=0.0):
-    """Samples of a known linear map from four loaded nodes to the free nodes of a 5 x 4 x 3
-    grid."""
-    mask = small_mask((5, 4, 3))
-    window = () if steps is None else (steps,)
-    force = np.zeros((samples, *window, 5, 4, 3, 3), "float32")
-    force[..., 1:3, 1:3, 2, :] = forces(samples, *window, 2, 2, 3)
-    X = force.reshape(samples, -1)
-    kernel = forces(X.shape[1], 5 * 4 * 3 * 3, seed=2)
-    Y = (X.astype("float64") @ kernel).reshape(samples, 5, 4, 3, 3) * mask[..., None]
-    return force, Y + noise * forces(*Y.shape, seed=3) * mask[..., None], mask
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
+def test_the_same_code_builds_a_model_of_keras_2(name):
+    model, x = build(name, mask=small_mask(), force_scale=0.3, displacement_scale=1.7)
+    row = NETWORKS[name]
+    options = row.options(4) if name == "unet" else row.options(2 * 2 * 2, 3)
+    twin = row.build(SMALL, options, (0.3, 1.7), small_mask(), lib=tf_keras)
+    assert isinstance(twin, tf_keras.Model)
+    twin.set_weights(model.get_weights())
+    np.testing.assert_allclose(twin(x), model(x), atol=1e-5)
 
 
-@pytest.mark.parametrize("steps", [None, 2])
-def test_linear_regression_recovers_a_linear_map(steps, tmp_path):
-    force, displacement, mask = linear_problem(60, steps)
-    model = linear_regression(force[:40], displacement[:40], mask, ridge=0.0)
-    assert model.input_shape == (None, *force.shape[1:])
-    predicted = model.predict(force[40:], verbose=0)
-    np.testing.assert_allclose(predicted, displacement[40:], atol=1e-5)
-    assert np.all(predicted[:, ~mask] == 0)
-    assert np.all(model.predict(0 * force, verbose=0) == 0)
-    model.save(tmp_path / "linear.keras")
-    np.testing.assert_array_equal(
-        keras.models.load_model(tmp_path / "linear.keras")(force), model(force)
+def test_every_row_names_functions_and_settings_that_exist():
+    for kind, row in NETWORKS.items():
+        options = row.options()
+        assert options.kind == kind and row.label
+        for reference in (row.builder, row.fitter, row.thinner):
+            assert reference is None or callable(resolve(reference))
+        assert row.size is None or row.size in options.own()
+        assert (row.builder is None) != (row.fitter is None)
+
+
+def test_a_row_builds_its_network_and_knows_what_fits():
+    options = network("cnn_lstm").options(units=8, steps=3)
+    built = network("cnn_lstm").build(SMALL, options, (0.3, 1.7))
+    assert built.input_shape == (None, 3, *SMALL, 3) and options.window == 3
+    assert built.get_layer("displacement").scale == 1.7
+    with pytest.raises(InputError, match="use 2 or 4 units"):
+        network("cnn_lstm").options(units=3).check(SMALL)
+    with pytest.raises(InputError, match="units = 0"):
+        network("cnn_lstm").options(units=0)
+    with pytest.raises(InputError, match="resnet.*cnn_lstm, unet, linear, pod"):
+        network("resnet")
+    with pytest.raises(InputError, match="fitted, not trained"):
+        network("linear").build(SMALL, network("linear").options())
+
+
+def test_the_table_is_read_without_keras():
+    code = (
+        "import sys, unet_fem.networks.registry; assert not {'keras', 'scipy'} & set(sys.modules)"
     )
-
-
-@pytest.mark.parametrize(
-    "samples", [8, 40]
-)  # fewer and more than the 12 loaded components: dual and primal
-def test_linear_regression_is_the_ridge_solution(samples):
-    force, displacement, mask = linear_problem(samples, noise=0.1)
-    model = linear_regression(force, displacement, mask, ridge=0.03)
-    X = force.reshape(samples, -1).astype("float64")
-    X = X[:, X.any(axis=0)]
-    Y = displacement[:, mask].reshape(samples, -1)
-    penalty = 0.03 * np.linalg.norm(X, 2) ** 2
-    kernel = np.linalg.solve(X.T @ X + penalty * np.eye(X.shape[1]), X.T @ Y)
-    np.testing.assert_allclose(model.get_layer("regression").get_weights()[0], kernel, atol=1e-5)
-    np.testing.assert_allclose(
-        model.predict(force, verbose=0)[:, mask].reshape(samples, -1), X @ kernel, atol=1e-5
-    )
-
-
-def test_linear_regression_without_ridge_has_the_least_norm():
-    force, displacement, mask = linear_problem(5)
-    force, displacement = np.concatenate(3 * [force]), np.concatenate(3 * [displacement])
-    model = linear_regression(force, displacement, mask, ridge=0.0)
-    X, Y = force[:, 1:3, 1:3, 2].reshape(15, -1), displacement[:, mask].reshape(15, -1)
-    least = np.linalg.pinv(X.astype("float64"), rcond=1e-10) @ Y
-    np.testing.assert_allclose(model.get_layer("regression").get_weights()[0], least, atol=1e-5)
-
-
-def test_linear_regression_keeps_the_best_ridge():
-    force, displacement, mask = linear_problem(60, noise=1.0)
-    train, validation = (force[:14], displacement[:14]), (force[14:], displacement[14:])
-    ridges = [1e-8, 1e-2, 1e-1, 10.0]
-    errors = []
-    for ridge in ridges:
-        model = linear_regression(*train, mask, ridge)
-        errors.append(np.sum((model.predict(validation[0], verbose=0) - validation[1]) ** 2))
-    best = ridges[int(np.argmin(errors))]
-    assert best not in (1e-8, 10.0)
-    assert linear_regression(*train, mask, ridges, validation).name == f"linear_ridge_{best:g}"
-
-
-def test_linear_regression_refuses_what_it_cannot_fit():
-    force, displacement, mask = linear_problem(5)
-    with pytest.raises(InputError, match="2 values of ridge"):
-        linear_regression(force, displacement, mask, [0.1, 0.2])
-    with pytest.raises(InputError, match="all 5 training forces are zero"):
-        linear_regression(0 * force, displacement, mask)
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -16,14 +16,12 @@ from fem.data.dataset import open_dataset
 from fem.data.scene import Scene
 from fem.errors import InputError, SolverStopped
 from unet_fem.networks.cnn_lstm import cnn_lstm
-from unet_fem.networks.linear import linear_regression
 from unet_fem.networks.unet import unet
 from unet_fem.study.measure import time_dependence as measure
 from unet_fem.study.measure.time_dependence import difference, elastic_answers, judge, run
 from unet_fem.study.report.time_dependence import draw
 from unet_fem.study.settings import Arm, Fem, Network, Stability, Study
 from unet_fem.training.checkpoint import save_model
-from unet_fem.training.samples import windows
 
 
 @pytest.fixture
@@ -122,15 +120,14 @@ def study(tiny, tiny_dataset, tmp_path, monkeypatch):
     (tmp_path / "scene.toml").write_text(config.dump_toml(tiny))
     shutil.copy(tiny_dataset, "tiny.h5")
     (tmp_path / "run.toml").write_text(
-        'name = "run"\nscene = "scene.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\nfilters = 2\n[train]\nepochs = 1\n'
+        'name = "run"\nscene = "scene.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\n[train]\nepochs = 1\n'
     )
     dataset = open_dataset("tiny.h5")
-    fields = dataset.read("train")
     keras.utils.set_random_seed(0)
     networks = (
         Network("lstm", "run.toml"),
         Network("lstm_3", "run.toml", ("model.steps=3",)),
-        Network("unet", "run.toml", ("model.kind=unet",)),
+        Network("unet", "run.toml", ("model.kind=unet", "model.filters=2")),
     )
     scale = {"force_scale": 0.05, "displacement_scale": 0.05, "mask": dataset.free}
     for network in networks:
@@ -140,13 +137,6 @@ def study(tiny, tiny_dataset, tmp_path, monkeypatch):
         save_model(
             cnn_lstm(dataset.grid, 4, steps, **scale) if steps else unet(dataset.grid, 2, **scale),
             folder / "best.keras",
-        )
-        force = windows(fields["force"], steps)
-        save_model(
-            linear_regression(
-                force, fields["displacement"].reshape(-1, *dataset.grid, 3), dataset.free
-            ),
-            folder / "linear.keras",
         )
     return Study(
         name="study",

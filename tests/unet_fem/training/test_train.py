@@ -2,19 +2,35 @@
 
 import json
 import shutil
+import subprocess
+import sys
+import tomllib
+from dataclasses import dataclass, field
 
 import h5py
+import keras
 import numpy as np
 import pytest
 
 from fem.data.dataset import open_dataset
 from fem.data.scene import load_scene
 from fem.errors import InputError
+from fem.locks import lock
+from fem.online.regression import Regression
 from unet_fem import evaluate, train
+from unet_fem.networks.layers import displacement_layer
+from unet_fem.networks.registry import NETWORKS, Network, Options, UNet
+from unet_fem.training import fit as training
+from unet_fem.training import judge
 from unet_fem.training import samples as data
 from unet_fem.training import settings as config
+from unet_fem.training.checkpoint import Checkpoint, load_model
+from unet_fem.training.figures import interaction_curves
+from unet_fem.training.fit import build_model, compile_model, fit
 from unet_fem.training.judge import error_metrics
-from unet_fem.training.run import ensure_dataset, prepare_folder
+from unet_fem.training.losses import deformed_volume
+from unet_fem.training.precision import precision
+from unet_fem.training.run import ensure_dataset, finished, prepare_folder, read_settings
 
 SCENE = """
 [mesh]
@@ -82,6 +98,12 @@ def folder(scene_folder, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def unjudged(monkeypatch):
+    """Training ends without an evaluation, which takes longer than it."""
+    monkeypatch.setattr(training, "evaluate", lambda settings, dataset: {})
+
+
 def stops_with(main, arguments, capsys, *words):
     """`main(arguments)` ends with exit code 2 and one line on stderr that holds all `words`."""
     with pytest.raises(SystemExit) as stop:
@@ -93,32 +115,6 @@ def stops_with(main, arguments, capsys, *words):
         assert word in message
 
 
-def test_windows_end_at_their_frame_and_begin_at_rest():
-    force = (
-        np.arange(2 * 3, dtype=float).reshape(2, 3, 1, 1, 1, 1) + 1
-    )  # interactions 1 2 3 and 4 5 6
-    assert data.windows(force, 2).reshape(6, 2).tolist() == [
-        [0, 1],
-        [1, 2],
-        [2, 3],
-        [0, 4],
-        [4, 5],
-        [5, 6],
-    ]
-    assert data.windows(force, None).ravel().tolist() == [1, 2, 3, 4, 5, 6]
-    assert data.windows(force, 4).reshape(6, 4)[2].tolist() == [0, 1, 2, 3]
-
-
-def test_batches_hold_every_sample_once_an_epoch_in_an_order_that_a_resumed_run_repeats():
-    x = np.arange(10)
-    stream = data.batches(x, x, 4, seed=3)
-    epochs = [np.concatenate([next(stream)[0] for _ in range(3)]) for _ in range(3)]
-    assert all(sorted(epoch) == list(x) for epoch in epochs)
-    assert not np.array_equal(epochs[0], epochs[1])
-    resumed = data.batches(x, x, 4, seed=3, first_epoch=2)
-    assert np.array_equal(np.concatenate([next(resumed)[0] for _ in range(3)]), epochs[2])
-
-
 @pytest.mark.parametrize("kind", ["lstm", "unet"])
 def test_one_command_leaves_a_run_with_model_metrics_and_figures(folder, capsys, kind):
     metrics = train.main([f"{kind}.toml"])
@@ -127,7 +123,7 @@ def test_one_command_leaves_a_run_with_model_metrics_and_figures(folder, capsys,
         "config.toml",
         "history.json",
         "best.keras",
-        "linear.keras",
+        "linear.npz",
         "checkpoint.weights.h5",
         "metrics.json",
         "tensorboard",
@@ -165,8 +161,6 @@ def test_metrics_agree_with_their_definitions(folder):
 
 
 def test_volume_of_the_loss_is_the_volume_of_the_fem(folder):
-    from unet_fem.training.losses import deformed_volume
-
     dataset = open_dataset("scene.h5")
     samples = data.load_samples(dataset, "test", None)
     faces = dataset.mesh.grid.index[dataset.mesh.boundary_faces]
@@ -175,9 +169,9 @@ def test_volume_of_the_loss_is_the_volume_of_the_fem(folder):
     assert np.abs(samples.volume - 32).max() > 0.05  # it does change
 
 
-def test_a_run_killed_in_an_epoch_and_resumed_ends_as_if_never_stopped(folder, monkeypatch):
-    from unet_fem.training.checkpoint import Checkpoint, load_model
-
+def test_an_interrupted_run_goes_on_by_the_same_command_and_ends_as_if_never_stopped(
+    folder, monkeypatch, capsys, unjudged
+):
     train.main(["lstm.toml", "name=whole"])
 
     def killed(self, batch, logs=None):
@@ -189,13 +183,15 @@ def test_a_run_killed_in_an_epoch_and_resumed_ends_as_if_never_stopped(folder, m
         train.main(["lstm.toml", "name=cut"])
     assert stop.value.code == 130
     assert len(json.loads((folder / "runs/cut/history.json").read_text())["loss"]) == 2
-    train.main(["lstm.toml", "name=cut", "--resume"])
+    assert "give the same command again to go on" in capsys.readouterr().err
+    train.main(["lstm.toml", "name=cut"])
+    assert "going on after 2 of 4 epochs" in capsys.readouterr().out
     whole, cut = (
         json.loads((folder / f"runs/{name}/history.json").read_text()) for name in ("whole", "cut")
     )
     assert cut["loss"] == pytest.approx(whole["loss"], rel=1e-4)
-    pairs = zip(*(load_model(f"runs/{name}/best.keras").get_weights() for name in ("whole", "cut")))
-    for a, b in pairs:
+    weights = [load_model(f"runs/{name}/best.keras").get_weights() for name in ("whole", "cut")]
+    for a, b in zip(*weights, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5)
 
 
@@ -213,14 +209,22 @@ def test_wrong_settings_are_one_line_with_the_remedy(folder, capsys):
     stops_with(train.main, ["nowhere.toml"], capsys, "nowhere.toml", "lstm.toml")
     stops_with(train.main, ["lstm.toml", "unet.toml"], capsys, "one configuration file")
     stops_with(train.main, ["lstm.toml", "--resume"], capsys, "runs/lstm", "resume")
+    stops_with(train.main, ["lstm.toml", "model.filters=8"], capsys, "model.filters", "unet")
+    stops_with(train.main, ["unet.toml", "model.units=8"], capsys, "model.units", "cnn_lstm")
     stops_with(evaluate.main, ["runs/none"], capsys, "runs/none", "unet_fem.train")
 
 
 def test_an_existing_run_is_neither_overwritten_nor_resumed_with_other_settings(folder, capsys):
     settings = config.load_settings("lstm.toml")
-    prepare_folder(settings, resume=False)
-    stops_with(train.main, ["lstm.toml"], capsys, "runs/lstm exists", "--resume")
-    stops_with(train.main, ["lstm.toml", "train.epochs=9", "--resume"], capsys, "other settings")
+    prepare_folder(settings)
+    for resume in ([], ["--resume"]):
+        stops_with(train.main, ["lstm.toml", "train.epochs=9", *resume], capsys, "other settings")
+    stops_with(evaluate.main, ["runs/lstm"], capsys, "no model runs/lstm/best.keras")
+    (folder / "runs/lstm/metrics.json").write_text("{}")
+    (folder / "runs/lstm/history.json").write_text('{"loss": [1.0, 1.0, 1.0]}')
+    assert not finished(settings)  # judged on the way
+    (folder / "runs/lstm/history.json").write_text('{"loss": [1.0, 1.0, 1.0, 1.0]}')
+    stops_with(train.main, ["lstm.toml"], capsys, "runs/lstm", "finished", "unet_fem.evaluate")
 
 
 @pytest.mark.parametrize("damage", ["truncated", "other scene", "nan", "not hdf5"])
@@ -242,25 +246,23 @@ def test_a_dataset_that_does_not_serve_is_refused(folder, capsys, damage):
         )
         words = ["another scene", "scene.toml"]
     stops_with(train.main, ["lstm.toml"], capsys, *words)
+    assert not (folder / "runs").exists()
 
 
-def test_a_checkpoint_or_a_dataset_of_another_model_is_refused(folder, capsys):
+def test_a_checkpoint_of_another_model_is_refused(folder, capsys, unjudged):
     train.main(["lstm.toml", "train.epochs=1"])
     train.main(["unet.toml", "train.epochs=1"])
     capsys.readouterr()
     shutil.copy("runs/unet/checkpoint.weights.h5", "runs/lstm/checkpoint.weights.h5")
-    stops_with(
-        train.main,
-        ["lstm.toml", "train.epochs=1", "--resume"],
-        capsys,
-        "checkpoint.weights.h5",
-        "does not fit",
-    )
-    (folder / "scene.toml").write_text(SCENE.format(cells="5, 4, 2"))
-    (folder / "scene.h5").unlink()
-    ensure_dataset(config.load_settings("lstm.toml"))
-    capsys.readouterr()
-    stops_with(evaluate.main, ["runs/lstm"], capsys, "another grid")
+    words = "checkpoint.weights.h5", "does not fit"
+    stops_with(train.main, ["lstm.toml", "train.epochs=1"], capsys, *words)
+
+
+def test_a_model_of_another_grid_is_refused(folder):
+    dataset = open_dataset("scene.h5")
+    model = keras.Sequential([keras.Input((6, 5, 3, 3)), keras.layers.Rescaling(0.1)])
+    with pytest.raises(InputError, match="trained on another grid or window"):
+        judge.predict(model, data.load_samples(dataset, "test", None), dataset)
 
 
 def test_shipped_configurations_are_the_papers(request):
@@ -276,13 +278,177 @@ def test_shipped_configurations_are_the_papers(request):
     assert (settings.model.units, settings.model.steps) == (512, 2)
 
 
-def test_direction_term_trains_when_it_is_switched_on(folder):
+def test_a_run_that_is_being_trained_is_left_alone(folder, capsys):
+    settings = config.load_settings("lstm.toml")
+    with lock(settings.folder):
+        stops_with(train.main, ["lstm.toml"], capsys, "runs/lstm", "being written")
+
+
+def test_direction_term_trains_when_it_is_switched_on(folder, unjudged):
     train.main(["unet.toml", "name=directed", "loss.direction_weight=1e-3", "train.epochs=1"])
     history = json.loads((folder / "runs/directed/history.json").read_text())
     assert np.isfinite(history["loss"][0]) and history["loss"][0] > 1e-5
 
 
-def test_forces_that_are_all_zero_are_named():
-    nothing = np.zeros((2, 3, 3, 3, 3), "float32")
-    with pytest.raises(InputError, match="contact.force"):
-        data.scales(data.Samples(nothing, nothing, np.zeros(2), np.zeros(2, bool), np.ones(2)))
+@pytest.mark.parametrize(
+    "wrong, word",
+    [("scene=nowhere.toml", "nowhere.toml"), ("data=nothing.h5", "HDF5")],
+)
+def test_a_refused_command_leaves_nothing_behind(folder, capsys, wrong, word):
+    (folder / "nothing.h5").write_text("nothing")
+    stops_with(train.main, ["lstm.toml", wrong], capsys, word)
+    assert not (folder / "runs").exists()
+
+
+def test_units_that_do_not_fit_are_refused_before_the_dataset_is_simulated(folder, capsys):
+    (folder / "wide.toml").write_text(SCENE.format(cells="12, 8, 5"))
+    wide = ["lstm.toml", "scene=wide.toml", "data=wide.h5"]
+    stops_with(train.main, wide, capsys, "2 * 8 LSTM outputs", "3 x 2 x 2", "use 6 or 12 units")
+    assert not (folder / "wide.h5").exists() and not (folder / "runs").exists()
+
+
+def test_regressions_are_runs_of_their_own(folder, capsys):
+    linear = train(config.load_settings("lstm.toml", ["model.kind=linear", "name=linear"]))
+    pod = train.main(["lstm.toml", "model.kind=pod", "model.modes=3", "model.steps=2", "name=pod"])
+    assert set(linear) == {"linear", "FEM", "extremes"}
+    assert set(pod) == {"pod", "linear regression", "FEM", "extremes"}
+    assert read_settings("runs/linear").toml() == (folder / "runs/linear/config.toml").read_text()
+    before = json.loads((folder / "runs/pod/metrics.json").read_text())
+    evaluate.main(["runs/pod"])
+    assert json.loads((folder / "runs/pod/metrics.json").read_text()) == before
+    found = Regression.load("runs/pod/regression.npz")
+    assert found.family == "POD + quadratic" and len(found.modes) == 3 and found.steps == 2
+    assert found.interval == 0.1
+    train.main(["lstm.toml", "train.epochs=1"])
+    metrics = json.loads((folder / "runs/lstm/metrics.json").read_text())
+    assert metrics["linear regression"]["test"] == pod["linear regression"]["test"]
+
+
+def test_a_linear_regression_that_an_old_run_lacks_is_fitted_again(folder):
+    before = train.main(["unet.toml", "train.epochs=1"])
+    (folder / "runs/unet/linear.npz").unlink()
+    evaluate.main(["runs/unet"])
+    after = json.loads((folder / "runs/unet/metrics.json").read_text())
+    assert after["linear regression"] == before["linear regression"]
+
+
+def test_a_first_epoch_without_a_finite_error_does_not_hide_the_best_model(folder):
+    model = keras.Sequential([keras.Input((2,)), keras.layers.Dense(1)])
+    model.compile("adam", "mse")
+    checkpoint = Checkpoint(folder / "runs/nan", 1)
+    checkpoint.set_model(model)
+    for error in (np.nan, 0.5, 0.7, 0.4, np.nan):
+        checkpoint.on_epoch_begin(0)
+        checkpoint.on_epoch_end(0, {"val_relative_error": error})
+        assert (folder / "runs/nan/best.keras").exists() == (len(checkpoint.history["seconds"]) > 1)
+    assert checkpoint.best == 3
+
+
+def test_training_that_diverges_says_so(folder, capsys):
+    settings = config.load_settings("unet.toml", ["train.epochs=1"])
+    dataset = open_dataset("scene.h5")
+    samples = data.load_samples(dataset, "train", None)
+    model = build_model(settings, dataset, *data.scales(samples))
+    compile_model(model, settings, dataset, 1)
+    model.set_weights([np.nan * w for w in model.get_weights()])
+    with pytest.raises(InputError, match="diverged.*train.learning_rate = 0.003"):
+        fit(model, settings, samples, samples)
+
+
+def test_equal_settings_are_equal_however_they_were_built():
+    assert config.TrainChoice(1, learning_rate=np.float64(1e-3)) == config.TrainChoice(1)
+    assert config.LossChoice(volume_threshold=1) == config.LossChoice(volume_threshold=1.0)
+    with pytest.raises(InputError, match="filters = 2.5 must be a whole number"):
+        UNet(filters=2.5)
+
+
+def test_volumes_are_taken_of_a_batch_at_a_time(folder, monkeypatch):
+    dataset = open_dataset("scene.h5")
+    samples = data.load_samples(dataset, "test", None)
+    sizes = []
+
+    def counted(field, *surface):
+        sizes.append(len(field))
+        return deformed_volume(field, *surface)
+
+    monkeypatch.setattr(judge, "deformed_volume", counted)
+    monkeypatch.setattr(judge, "BATCH", 5)
+    model = keras.Sequential([keras.Input((*dataset.grid, 3)), keras.layers.Rescaling(0.1)])
+    field, volume = judge.predict(model, samples, dataset)
+    assert sizes == [5, 5, 2] and len(field) == len(volume) == len(samples)
+
+
+def test_precision_is_restored():
+    with pytest.raises(KeyError), precision("mixed_bfloat16"):
+        assert keras.config.dtype_policy().name == "mixed_bfloat16"
+        raise KeyError
+    assert keras.config.dtype_policy().name == "float32"
+
+
+def test_runs_of_before_are_opened_and_hold_their_own_options_alone(request):
+    for path in sorted(request.config.rootpath.glob("docs/runs/*/config.toml")):
+        settings = read_settings(path.parent)
+        tree = tomllib.loads(path.read_text())["model"]
+        assert settings.model.own().items() <= tree.items()
+        assert ("filters" in settings.toml()) == (settings.model.kind == "unet")
+
+
+def test_an_option_of_an_old_run_that_was_never_the_kinds_own_is_refused(folder):
+    run = folder / "runs/old"
+    run.mkdir(parents=True)
+    text = SETTINGS.format(name="old", model=UNET + "\nunits = 512\nsteps = {}")
+    (run / "config.toml").write_text(text.replace("{}", "2"))
+    assert read_settings(run).model == UNet(filters=4)
+    (run / "config.toml").write_text(text.replace("{}", "3"))
+    with pytest.raises(InputError, match="model.steps = 3 .* leave it out"):
+        read_settings(run)
+
+
+def test_a_network_of_ones_own_is_a_row(folder, monkeypatch):
+    @dataclass(frozen=True)
+    class Plain(Options):
+        kind: str = field(default="plain", init=False)
+        width: int = 2
+
+    def plain(grid, width, *, force_scale, displacement_scale, mask, lib):
+        force = keras.Input((*grid, 3))
+        x = keras.layers.Rescaling(1 / force_scale)(force)
+        x = keras.layers.Conv3D(width, 3, padding="same")(x)
+        x = keras.layers.Conv3D(3, 3, padding="same")(x)
+        return keras.Model(force, displacement_layer(x, displacement_scale, mask), name="plain")
+
+    monkeypatch.setitem(NETWORKS, "plain", Network("plain", Plain, builder=plain))
+    metrics = train.main(["lstm.toml", "model.kind=plain", "model.width=3", "name=own"])
+    assert metrics["plain"]["test"]["relative_l2"] < 1.5
+
+
+def test_help_and_refusals_do_not_wait_for_keras():
+    code = """
+import sys
+from unet_fem import evaluate, train
+for main, words in ((train.main, ["nowhere.toml"]), (train.main, ["--help"]),
+                    (evaluate.main, ["runs/none"]), (evaluate.main, ["--help"])):
+    try:
+        main(words)
+    except SystemExit:
+        pass
+print({"keras", "tensorflow", "matplotlib"} & set(sys.modules))
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.endswith("set()\n")
+
+
+def test_importing_the_figures_changes_neither_backend_nor_style():
+    code = """
+import matplotlib
+before = matplotlib.rcParams["font.size"]
+import unet_fem.training.figures, sys
+assert matplotlib.rcParams["font.size"] == before and "matplotlib.pyplot" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_gate_that_is_drawn_is_the_runs_own():
+    line = np.array([1, 2])
+    figure = interaction_curves(line, line[:1], line, {"FEM": 0.01 * line}, gate=0.025)
+    assert "2.5 % gate" in [text.get_text() for text in figure.legends[0].get_texts()]

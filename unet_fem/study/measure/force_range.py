@@ -255,10 +255,10 @@ def network_functions(study, dataset):
     networks and linear regression."""
     from unet_fem.deployment.answers import answers as lite_answers
     from unet_fem.training.checkpoint import load_model
+    from unet_fem.training.regressions import linear_regression
     from unet_fem.training.samples import windows
 
-    def whole(path, steps):
-        model = load_model(path)
+    def whole(model, steps):
         return lambda force: np.asarray(model(windows(force[None], steps)))
 
     functions = {}
@@ -266,9 +266,11 @@ def network_functions(study, dataset):
         settings = study.network(run)
         if not functions:
             functions["linear regression"] = whole(
-                settings.folder / "linear.keras", settings.model.window
+                linear_regression(settings), settings.model.window
             )
-        functions[name] = whole(settings.folder / "best.keras", settings.model.window)
+        functions[name] = whole(
+            load_model(settings.folder / "best.keras"), settings.model.window
+        )
         if (lite := settings.folder / "lite/int8.tflite").is_file():
             functions[f"{name}, int8"] = lambda force, path=lite: lite_answers(path, force[None])
     return functions

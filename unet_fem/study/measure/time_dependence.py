@@ -16,6 +16,7 @@ from fem.data.interaction import contacts_of, simulate
 from fem.errors import InputError, SolverStopped
 from fem.files import save_arrays
 from fem.workers import on_all_cores
+from unet_fem.networks.registry import network
 from unet_fem.study.measure.reference import judged
 
 
@@ -114,6 +115,7 @@ def network_answers(study, dataset, numbers):
     """
     from unet_fem.training.checkpoint import load_model
     from unet_fem.training.judge import predict
+    from unet_fem.training.regressions import linear_regression
     from unet_fem.training.samples import load_samples
 
     answers, windows = {}, set()
@@ -124,22 +126,19 @@ def network_answers(study, dataset, numbers):
         frames = settings.model.window or 1
         models = {
             run: (
-                "best.keras",
-                f"CNN-LSTM, {frames} forces" if settings.model.kind == "cnn_lstm" else "U-Net",
+                load_model(settings.folder / "best.keras"),
+                network(settings.model.kind).label + (f", {frames} forces" if frames > 1 else ""),
             )
         }
         if frames not in windows:
             models[f"linear {frames}"] = (
-                "linear.keras",
+                linear_regression(settings),
                 f"linear, {frames} force{'s' * (frames > 1)}",
             )
             windows.add(frames)
-        for name, (file, label) in models.items():
+        for name, (model, label) in models.items():
             print(f"{label} on {dataset.path.name}", flush=True)
-            answers[name] = (
-                label,
-                fields(dataset, predict(load_model(settings.folder / file), samples, dataset)[0]),
-            )
+            answers[name] = label, fields(dataset, predict(model, samples, dataset)[0])
     return answers, fields(dataset, samples.displacement)
 
 

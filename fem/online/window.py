@@ -1,0 +1,65 @@
+"""A stepper around a function of the last few forces."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fem.errors import InputError
+from fem.online.grid import NodeGrid
+from fem.online.stepper import State, check_interval
+
+
+class WindowStepper:
+    """A Stepper that answers from the forces of the last calls and keeps that window itself.
+
+    answer: window (1, [T,] nx, ny, nz, 3) float32 mN -> displacement (1, nx, ny, nz, 3) mm. grid:
+    of the nodes. steps: frames T of the window, or None where `answer` has no time axis. interval:
+    seconds between frames, None if unknown; any dt is then taken for one.
+    """
+
+    def __init__(
+        self,
+        answer: Callable[[np.ndarray], np.ndarray],
+        grid: NodeGrid,
+        steps: int | None,
+        interval: float | None,
+    ) -> None:
+        self.answer, self.grid, self.steps, self.interval = answer, grid, steps, interval
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to rest: no force in the past."""
+        self._forces = np.zeros((self.steps or 1, *self.grid.shape, 3), "float32")
+
+    def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
+        """Displacement in mm, float32, under `force` in mN, one interval after the call before.
+
+        force: (N, 3) or (nx, ny, nz, 3), and the displacement likewise. Raises InputError for
+        another shape, values that are not finite, and a dt other than the interval; the window is
+        then as it was.
+        """
+        if dt is not None:
+            check_interval(self.interval, dt)
+        force = np.asarray(force)
+        nodal = self.grid.is_nodal(force)
+        force = force.astype("float32")
+        newest = self.grid.to_grid(force) if nodal else force
+        forces = np.concatenate([self._forces[1:], newest[None]])
+        displacement = np.asarray(self.answer(forces if self.steps is None else forces[None]))[0]
+        self._forces = forces
+        return self.grid.from_grid(displacement) if nodal else displacement
+
+    def state(self) -> State:
+        """{"forces": (T, nx, ny, nz, 3) mN}: those of the last calls, the newest at the end."""
+        return {"forces": self._forces.copy()}
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave. Raises InputError for the state of another stepper."""
+        forces = state.get("forces")
+        if forces is None or np.shape(forces) != self._forces.shape:
+            found = "nothing" if forces is None else f"shape {np.shape(forces)}"
+            raise InputError(
+                f"the state holds {found} as forces and this stepper keeps {self._forces.shape};"
+                " restore what state() of the same stepper gave"
+            )
+        self._forces = np.array(forces, "float32")

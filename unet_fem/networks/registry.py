@@ -1,0 +1,199 @@
+"""The networks and regressions that a run can hold: a row each, with the settings of its own.
+
+The table is read without Keras: a row names its functions as "module:function", and they are
+imported when they are called. A new network is one file with its function, and its options and row
+here.
+"""
+
+import dataclasses
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import TYPE_CHECKING, Protocol
+
+from fem.errors import InputError
+from fem.settings import normalised
+from unet_fem.networks.block import block_channels, coarse_block
+
+if TYPE_CHECKING:
+    import keras
+    import numpy as np
+
+    from fem.online.regression import Regression
+    from unet_fem.networks.pod import Samples
+
+Reference = str | Callable  # "module:function", or the function itself
+
+
+@dataclass(frozen=True)
+class Options:
+    """The [model] table of a run: its kind, and the settings that this kind alone has."""
+
+    kind: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        normalised(self)
+        for name, value in self.own().items():
+            if not isinstance(value, bool) and value < 1:
+                raise InputError(f"model.{name} = {value} must be at least 1")
+
+    def own(self) -> dict[str, int | bool]:
+        """{name: value} of the kind's own settings."""
+        return {name: value for name, value in dataclasses.asdict(self).items() if name != "kind"}
+
+    @property
+    def window(self) -> int | None:
+        """Frames of force that the model sees at once; None if it sees one frame and has no time
+        axis."""
+        return None
+
+    def check(self, grid: tuple[int, int, int]) -> None:
+        """Raises InputError where the model does not fit a grid of nodes (nx, ny, nz)."""
+
+
+@dataclass(frozen=True)
+class CnnLstm(Options):
+    """units: of the LSTM, per direction; steps: frames of the window."""
+
+    kind: str = field(default="cnn_lstm", init=False)
+    units: int = 512
+    steps: int = 2
+
+    @property
+    def window(self) -> int:
+        return self.steps
+
+    def check(self, grid: tuple[int, int, int]) -> None:
+        block_channels(self.units, coarse_block(grid))
+
+
+@dataclass(frozen=True)
+class UNet(Options):
+    """filters: channels of the first convolution."""
+
+    kind: str = field(default="unet", init=False)
+    filters: int = 64
+
+
+@dataclass(frozen=True)
+class Linear(Options):
+    """steps: frames of the window."""
+
+    kind: str = field(default="linear", init=False)
+    steps: int = 1
+
+    @property
+    def window(self) -> int | None:
+        return self.steps if self.steps > 1 else None
+
+
+@dataclass(frozen=True)
+class Pod(Linear):
+    """modes: of the training displacements; quadratic: whether squares of the forces are among the
+    inputs."""
+
+    kind: str = field(default="pod", init=False)
+    modes: int = 40
+    quadratic: bool = True
+
+
+class Model(Protocol):
+    """What a run makes: a Keras model or a Regression."""
+
+    @property
+    def input_shape(self) -> tuple[int | None, ...]:
+        """(None, [T,] nx, ny, nz, 3)."""
+
+    def __call__(self, force: "np.ndarray") -> "np.ndarray":
+        """Displacement (S, nx, ny, nz, 3) mm from force windows (S, [T,] nx, ny, nz, 3) mN."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """One row.
+
+    label: what figures and tables call it. options: the dataclass of its settings.
+    builder: of the untrained Keras model, called as builder(grid, force_scale=,
+    displacement_scale=, mask=, lib=, **own settings).
+    fitter: of a Regression in closed form, in place of a builder: fitter(train, validation, mask,
+    **own settings but steps, which the samples' windows show).
+    thinner: puts the weightiest part of a model into a smaller one, thinner(model, small). size:
+    name of the setting that makes it smaller.
+    """
+
+    label: str
+    options: type[Options]
+    builder: Reference | None = None
+    fitter: Reference | None = None
+    thinner: Reference | None = None
+    size: str | None = None
+
+    def build(
+        self,
+        grid: tuple[int, int, int],
+        options: Options,
+        scales: tuple[float, float] = (1.0, 1.0),
+        mask: "np.ndarray | None" = None,
+        lib: ModuleType | None = None,
+    ) -> "keras.Model":
+        """The untrained Keras model for a grid of nodes (nx, ny, nz).
+
+        scales: (force mN, displacement mm). mask: (nx, ny, nz) bool, the free nodes. lib: the Keras
+        to build with, keras if None. Raises InputError where the options do not fit the grid.
+        """
+        if self.builder is None:
+            raise InputError(f"a {self.label} is fitted, not trained; it has no Keras model")
+        scaled = {"force_scale": scales[0], "displacement_scale": scales[1]}
+        return resolve(self.builder)(grid, **options.own(), **scaled, mask=mask, lib=lib)
+
+    def fit(
+        self, train: "Samples", validation: "Samples", mask: "np.ndarray", options: Options
+    ) -> "Regression":
+        """The Regression on Samples of windows as `options` asks for, in closed form."""
+        if self.fitter is None:
+            raise InputError(f"a {self.label} is trained, not fitted in closed form")
+        own = {name: value for name, value in options.own().items() if name != "steps"}
+        return resolve(self.fitter)(train, validation, mask, **own)
+
+    def thin(self, model: "keras.Model", small: "keras.Model") -> None:
+        """Give `small`, a model of this kind with less of `size`, the weightiest part of
+        `model`."""
+        if self.thinner is None:
+            raise InputError(f"a {self.label} cannot be made thinner")
+        resolve(self.thinner)(model, small)
+
+
+NETWORKS = {
+    "cnn_lstm": Network(
+        "CNN-LSTM",
+        CnnLstm,
+        builder="unet_fem.networks.cnn_lstm:cnn_lstm",
+        thinner="unet_fem.deployment.pruning:_thin_cnn_lstm",
+        size="units",
+    ),
+    "unet": Network(
+        "U-Net",
+        UNet,
+        builder="unet_fem.networks.unet:unet",
+        thinner="unet_fem.deployment.pruning:_thin_unet",
+        size="filters",
+    ),
+    "linear": Network("linear regression", Linear, fitter="unet_fem.networks.pod:linear"),
+    "pod": Network("POD regression", Pod, fitter="unet_fem.networks.pod:pod"),
+}
+
+
+def network(kind: str) -> Network:
+    """The row of `kind`. Raises InputError for an unknown one."""
+    if kind not in NETWORKS:
+        raise InputError(f"model.kind = {kind!r} is not one of {', '.join(NETWORKS)}")
+    return NETWORKS[kind]
+
+
+def resolve(reference: Reference) -> Callable:
+    """The function that "module:function" names; a function is itself."""
+    if callable(reference):
+        return reference
+    module, _, name = reference.partition(":")
+    return getattr(importlib.import_module(module), name)

@@ -1,0 +1,70 @@
+"""Everything that answers forces call by call (see fem.online.stepper), by its kind or from its
+file.
+
+    body = open_stepper("runs/quick/lite/int8.tflite")
+    displacement = body.step(force)
+
+Nothing heavy is imported before a stepper is asked for. A new kind is one row.
+"""
+
+import importlib
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fem.errors import InputError
+from fem.online.stepper import Stepper
+
+
+@dataclass(frozen=True)
+class Kind:
+    """label: for people. make: "module:name" of what builds the stepper from objects. suffix: of
+    the files that it is opened from by `opener`, "module:name" too."""
+
+    label: str
+    make: str
+    suffix: str | None = None
+    opener: str | None = None
+
+
+STEPPERS = {
+    "keras": Kind(
+        "Keras",
+        "unet_fem.networks.stepper:KerasStepper",
+        ".keras",
+        "unet_fem.networks.stepper:KerasStepper.open",
+    ),
+    "litert": Kind("LiteRT", "unet_fem.runtime:Surrogate", ".tflite", "unet_fem.runtime:Surrogate"),
+    "regression": Kind(
+        "regression",
+        "fem.online.regression:RegressionStepper",
+        ".npz",
+        "fem.online.regression:RegressionStepper.open",
+    ),
+    "fem": Kind("FEM", "fem.solver.frame_loop:FrameLoop"),
+}
+
+
+def stepper(kind: str, *arguments: object, **options: object) -> Stepper:
+    """The stepper of `kind` from the arguments of its constructor. Raises InputError for an unknown
+    kind."""
+    if kind not in STEPPERS:
+        raise InputError(f"stepper '{kind}' is not one of {', '.join(STEPPERS)}")
+    return _named(STEPPERS[kind].make)(*arguments, **options)
+
+
+def open_stepper(path: Path | str, **options: object) -> Stepper:
+    """The stepper in the file at `path`; options go to its opener. Raises InputError for a file of
+    no kind."""
+    suffix = Path(path).suffix
+    for kind in STEPPERS.values():
+        if kind.opener and kind.suffix == suffix:
+            return _named(kind.opener)(path, **options)
+    known = ", ".join(f"{kind.suffix} ({kind.label})" for kind in STEPPERS.values() if kind.suffix)
+    raise InputError(f"{path} is no file of a stepper; give one of {known}")
+
+
+def _named(reference: str) -> Callable:
+    module, _, name = reference.partition(":")
+    return operator.attrgetter(name)(importlib.import_module(module))

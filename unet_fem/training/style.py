@@ -1,0 +1,38 @@
+"""How all figures look. Drawn on figures of their own, without pyplot and its backend."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+STYLE: dict[Any, Any] = {
+    "figure.dpi": 150,
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "savefig.bbox": "tight",
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Decorator or context in which figures are drawn."""
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def subplots(
+    rows: int, columns: int, size: tuple[float, float], **options: Any
+) -> tuple[Figure, Any]:
+    """(figure, axes) of `size` in inches; options: of Figure.subplots."""
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
+
+
+def save(figure: Figure, path: Path | str) -> None:
+    """Write `figure` to `path`."""
+    with styled():
+        figure.savefig(path)
