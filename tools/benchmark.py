@@ -39,7 +39,7 @@ def soak(path, dataset, steps, threads):
     first = None
     for n in tqdm(range(steps), desc=f"soaking {path}", unit="step", mininterval=2):
         start = time.perf_counter()
-        surrogate.step(force[n % len(force)], out)
+        surrogate.step(force[n % len(force)], out=out)
         times[n] = time.perf_counter() - start
         if n == steps // 100:
             first = resident_mb()

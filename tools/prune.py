@@ -104,7 +104,7 @@ def measure(settings, dataset):
     import keras
 
     from unet_fem.deployment import tflite as lite
-    from unet_fem.runtime.surrogate import write_surrogate
+    from unet_fem.runtime.surrogate_file import write_surrogate
     from unet_fem.training import samples as data
     from unet_fem.training.checkpoint import load_model
     from unet_fem.training.judge import error_metrics, predict

@@ -77,7 +77,7 @@ def quantize(folder, count, margin, layers):
     from fem.files import write_text
     from unet_fem.deployment import tflite as lite
     from unet_fem.deployment.answers import answers
-    from unet_fem.runtime.surrogate import write_surrogate
+    from unet_fem.runtime.surrogate_file import write_surrogate
     from unet_fem.training.checkpoint import load_model
     from unet_fem.training.run import open_run
     from unet_fem.training.samples import windows

@@ -20,5 +20,5 @@ def answers(path, force):
         for interaction, out in zip(force, result):
             surrogate.reset()
             for field, displacement in zip(interaction, out):
-                surrogate.step(field, displacement)
+                surrogate.step(field, out=displacement)
     return result.reshape(-1, *force.shape[2:])

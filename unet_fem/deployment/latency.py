@@ -81,7 +81,7 @@ def surrogate_action(path, force, threads=1):
     from unet_fem.runtime.surrogate import Surrogate
 
     surrogate, out = Surrogate(path, threads), np.empty(force.shape, "float32")
-    return lambda: surrogate.step(force, out) is None
+    return lambda: surrogate.step(force, out=out) is None
 
 
 def graph_action(path, threads=1):

@@ -8,6 +8,7 @@ float32 activations, and so have the scale and mask after it. Forces go in in mN
 come out in mm in every variant.
 """
 
+import hashlib
 import os
 import sys
 import tempfile
@@ -160,15 +161,25 @@ def _quantize_float_weights(data):
 
 def surrogate_facts(dataset):
     """What a surrogate's file says beside its graph, from a fem.data.dataset.Dataset: see
-    unet_fem.runtime.surrogate.write_surrogate."""
+    unet_fem.runtime.surrogate_file.write_surrogate."""
     points, faces = dataset.surface
     return {
         "mask": dataset.free,
+        "index": dataset.mesh.grid_index,
         "points": points,
         "faces": faces,
+        "mesh": mesh_digest(dataset.mesh),
         "interval": dataset.scene.frames.interval,
         "largest_force": force_size(dataset.read("train")["force"]),
     }
+
+
+def mesh_digest(mesh):
+    """Sixteen hexadecimal digits of a HexMesh's points, cells and fixed nodes."""
+    found = hashlib.sha256()
+    for values, kind in ((mesh.points, "<f8"), (mesh.cells, "<i8"), (mesh.fixed, "?")):
+        found.update(np.ascontiguousarray(values, kind).tobytes())
+    return found.hexdigest()[:16]
 
 
 def audit(data, variant):
