@@ -14,6 +14,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import keras
 import numpy as np
@@ -21,7 +22,6 @@ import tensorflow as tf
 
 from fem.data.dataset import Dataset
 from fem.errors import InputError
-from fem.mesh.hexmesh import HexMesh
 from unet_fem.deployment.conv2d import reexpress
 from unet_fem.deployment.tflite_graph import (
     WEIGHTED,
@@ -126,24 +126,26 @@ def _calibrated(converter, windows):
         return debugger.get_nondebug_quantized_model()
 
 
-def surrogate_facts(dataset: Dataset) -> dict[str, object]:
+def surrogate_facts(dataset: Dataset) -> dict[str, Any]:
     """What a surrogate's file says beside its graph, from a fem.data.dataset.Dataset: see
     unet_fem.runtime.surrogate_file.write_surrogate."""
     points, faces = dataset.surface
+    index = dataset.fem_mesh.grid_index  # None where the mesh is embedded in the grid
     return {
         "mask": dataset.free,
-        "index": dataset.mesh.grid_index,
+        "index": np.empty(0, int) if index is None else index,
         "points": points,
         "faces": faces,
-        "mesh": mesh_digest(dataset.mesh),
+        "mesh": mesh_digest(dataset),
         "interval": dataset.scene.frames.interval,
         "largest_force": force_size(dataset.read("train")["force"]),
     }
 
 
-def mesh_digest(mesh: HexMesh) -> str:
-    """Sixteen hexadecimal digits of a HexMesh's points, cells and fixed nodes."""
+def mesh_digest(dataset: Dataset) -> str:
+    """Sixteen hexadecimal digits of the mesh that the networks of a dataset see."""
     found = hashlib.sha256()
-    for values, kind in ((mesh.points, "<f8"), (mesh.cells, "<i8"), (mesh.fixed, "?")):
+    parts = ((dataset.points, "<f8"), (dataset.cells, "<i8"), (dataset.mask, "?"))
+    for values, kind in (*parts, (dataset.fixed, "?")):
         found.update(np.ascontiguousarray(values, kind).tobytes())
     return found.hexdigest()[:16]

@@ -38,8 +38,9 @@ class Surrogate:
     ago ... which a ring of the recent calls holds. `interval` is what is between two calls.
 
     grid: (nx, ny, nz). nodes: the NodeGrid of the mesh's nodes in it, and points (N, 3) mm where
-    they are; both None for a file of format 1, which takes forces on the grid alone. mask: (nx, ny,
-    nz) bool, the nodes that can move. mesh: digest of the mesh. label: for people.
+    they are; both None for a file of format 1 or a mesh that is embedded in the grid, which take
+    forces on the grid alone. mask: (nx, ny, nz) bool, the nodes that can move. mesh: digest of the
+    mesh. label: for people.
 
     After each step: `volume` in mm3; `outside_training_range`, whether the force's total or its
     largest node exceeds all of training; `volume_alarm`, whether the volume is off by more than 7
@@ -181,9 +182,9 @@ class Surrogate:
     def _is_nodal(self, force):
         if self.nodes is None and force.shape != (*self.grid, 3):
             raise InputError(
-                f"the force is of shape {force.shape}; {self.path} is of format 1, without the"
-                f" places of the nodes: give shape {(*self.grid, 3)}, or make the file again with"
-                " python tools/quantize.py runs/<name>"
+                f"the force is of shape {force.shape}; give {(*self.grid, 3)}: {self.path} has no"
+                " places of the mesh's nodes in the grid. A file of format 1 gets them when it is"
+                " made again with python tools/quantize.py runs/<name>"
             )
         return self._layout.is_nodal(force)
 

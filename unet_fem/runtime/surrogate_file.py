@@ -35,7 +35,8 @@ def write_surrogate(
     """Write a surrogate to `path`, at once or not at all.
 
     model: bytes of a .tflite file. mask: (nx, ny, nz) bool, the free material nodes. index: (N,)
-    places of the mesh's nodes in the grid, see fem.online.grid.NodeGrid. points: (nx*ny*nz, 3) mm.
+    places of the mesh's nodes in the grid, see fem.online.grid.NodeGrid; none of a mesh that is
+    embedded in the grid, whose nodes lie elsewhere. points: (nx*ny*nz, 3) mm.
     faces: (M, 4) grid nodes of the boundary quads, counter-clockwise seen from outside. mesh: a
     digest that tells this mesh from others. interval: s between the frames of a force window.
     largest_force: (total, nodal) mN seen in training, see unet_fem.runtime.surrogate.force_size.
@@ -118,7 +119,14 @@ def _whole(arrays: dict[str, np.ndarray], with_nodes: bool) -> bool:
         and (interval.dtype.kind, interval.shape) == ("f", ())
         and 0 < interval < np.inf
         and (largest.dtype.kind, largest.shape) == ("f", (2,))
-        and (not with_nodes or _places(arrays["index"], mask.size) and arrays["index"].ndim == 1)
+        and (not with_nodes or _nodes(arrays["index"], mask.size))
+    )
+
+
+def _nodes(index: np.ndarray, size: int) -> bool:
+    """Whether `index` has a place for each node, or for none."""
+    return index.ndim == 1 and (
+        not index.size or _places(index, size) and len(np.unique(index)) == len(index)
     )
 
 

@@ -169,14 +169,14 @@ def test_volume_is_that_of_the_loss_and_raises_the_alarm(dataset, folder, force)
             folder / "wild.tflite", network(dataset, "cnn_lstm", displacement_scale=20.0), dataset
         )
     )
-    points, faces = (
-        dataset.points.reshape(-1, 3),
-        dataset.mesh.grid_index[dataset.mesh.boundary_faces],
-    )
-    assert wild.rest_volume == pytest.approx(dataset.mesh.volume(), rel=1e-5)
+
+    def volume(displacement):
+        return float(losses.deformed_volume(displacement[None], *dataset.surface)[0])
+
+    assert wild.rest_volume == pytest.approx(volume(np.zeros_like(force[0, 0])), rel=1e-5)
     with pytest.warns(RuntimeWarning, match="predicted volume is off by"):
         displacement = wild.step(force[0, -1])
-    expected = float(losses.deformed_volume(displacement[None], points, faces)[0])
+    expected = volume(displacement)
     assert wild.volume == pytest.approx(expected, rel=1e-4)
     assert wild.volume_alarm and abs(expected / wild.rest_volume - 1) > 0.07
     wild.reset()
@@ -267,9 +267,10 @@ def rewritten(file, path, graph=None, **changes):
 def test_the_file_tells_what_the_graph_does_not(dataset, file):
     surrogate = Surrogate(file)
     assert surrogate.label == "tiny: float32"
-    assert surrogate.mesh == lite.mesh_digest(dataset.mesh) and len(surrogate.mesh) == 16
-    np.testing.assert_array_equal(surrogate.points, dataset.mesh.points)
-    np.testing.assert_array_equal(surrogate.nodes.index, dataset.mesh.grid_index)
+    assert surrogate.mesh == lite.mesh_digest(dataset) and len(surrogate.mesh) == 16
+    index = np.flatnonzero(dataset.mask)
+    np.testing.assert_array_equal(surrogate.nodes.index, index)
+    np.testing.assert_array_equal(surrogate.points, dataset.points.reshape(-1, 3)[index])
 
 
 def test_files_of_format_1_still_open_and_take_forces_on_the_grid_alone(file, tmp_path, force):
@@ -279,8 +280,15 @@ def test_files_of_format_1_still_open_and_take_forces_on_the_grid_alone(file, tm
     surrogate = Surrogate(old)
     np.testing.assert_array_equal(surrogate.step(force[0, 1]), Surrogate(file).step(force[0, 1]))
     assert surrogate.nodes is None and surrogate.label == "old"
-    with pytest.raises(InputError, match="format 1, without the places .* make the file again"):
+    with pytest.raises(InputError, match="no places of the mesh's nodes .* format 1 .* made again"):
         surrogate.step(np.zeros((75, 3)))
+
+
+def test_a_mesh_embedded_in_the_grid_takes_forces_on_the_grid_alone(file, tmp_path, force):
+    embedded = rewritten(file, tmp_path / "embedded.tflite", index=np.empty(0, int))
+    assert Surrogate(embedded).step(force[0, 1]).shape == force[0, 1].shape
+    with pytest.raises(InputError, match="no places of the mesh's nodes"):
+        Surrogate(embedded).step(np.zeros((75, 3)))
 
 
 def test_a_format_of_the_future_is_refused(file, tmp_path):
@@ -294,6 +302,7 @@ def test_a_format_of_the_future_is_refused(file, tmp_path):
     [
         {"index": None},
         {"index": np.array([0, 75])},
+        {"index": np.array([0, 0])},
         {"points": np.full((75, 3), np.nan)},
         {"faces": np.array([[0, 1, 2, -1]])},
         {"interval": np.array(0.0)},
