@@ -7,9 +7,12 @@ import numpy as np
 from ai_edge_litert.interpreter import Interpreter, OpResolverType
 
 from unet_fem.deployment.tflite_graph import parts_of, weighted
+from unet_fem.metrics import relative_l2
 
 
-def layer_errors(reference: bytes, quantized: bytes, windows: np.ndarray) -> dict[str, float]:
+def layer_errors(
+    reference: bytes, quantized: bytes, windows: np.ndarray
+) -> dict[str, float | None]:
     """{layer: relative L2 error of its output} of the weighted operators that two .tflite files
     share by name.
 
@@ -17,21 +20,16 @@ def layer_errors(reference: bytes, quantized: bytes, windows: np.ndarray) -> dic
     the files' bytes, float32 and another. windows: (S, [T,] nx, ny, nz, 3) mN.
     """
     exact, rounded = _outputs(reference, windows), _outputs(quantized, windows)
-    errors: dict[str, float] = {}
+    errors: dict[str, float | None] = {}
     seen: Counter[str] = Counter()
     for name in exact:
         if name in rounded:
             layer = re.sub(r"_\d+$", "", name.split("/")[1])  # model_1/layer_1/operator;...
             seen[layer] += 1
-            errors[f"{layer} {seen[layer]}" if seen[layer] > 1 else layer] = relative(
+            errors[f"{layer} {seen[layer]}" if seen[layer] > 1 else layer] = relative_l2(
                 rounded[name], exact[name]
             )
     return errors
-
-
-def relative(values: np.ndarray, reference: np.ndarray) -> float:
-    """sqrt(sum |values - reference|^2 / sum |reference|^2)."""
-    return float(np.linalg.norm(values - reference) / np.linalg.norm(reference))
 
 
 def _outputs(data, windows):

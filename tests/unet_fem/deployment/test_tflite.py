@@ -80,6 +80,7 @@ def test_linear_regression_equals_keras():
     assert worst(run(lite.export(model, "float32"), x), model(x)) < 1e-5
 
 
+@pytest.mark.slow
 def test_paper_cnn_lstm_is_a_quarter_in_int8_weights_and_close_to_keras():
     keras.utils.set_random_seed(0)
     model, x = cnn_lstm(), forces(2, 2, 17, 17, 8, 3)
