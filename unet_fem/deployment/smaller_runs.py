@@ -164,38 +164,17 @@ def compare(runs: list[Settings], dataset: Dataset, rounds: int) -> dict[str, di
 
 def table(figures: dict[str, dict[str, float]]) -> str:
     """The figures of `compare` in Markdown."""
-    head = (
-        "run",
-        "parameters",
-        "zeros %",
-        "test L2 %",
-        "hard L2 %",
-        "float32 MB",
-        "zipped",
-        "int8 MB",
-        "float32 ms",
-        "faster",
-        "int8 ms",
-        "faster",
-    )
-    rows = [head, ["---"] * len(head)]
+    lines = [
+        "| run | parameters | zeros % | test L2 % | hard L2 % | float32 MB | zipped | int8 MB"
+        " | float32 ms | faster | int8 ms | faster |",
+        "|" + "---|" * 12,
+    ]
     for name, f in figures.items():
-        rows.append(
-            [
-                name,
-                f"{f['parameters']:,}",
-                f"{100 * f['zeros']:.0f}",
-                f"{100 * f['test_relative_l2']:.1f}",
-                f"{100 * f['hard_relative_l2']:.1f}",
-                f"{f['float32_MB']:.2f}",
-                f"{f['float32_zipped_MB']:.2f}",
-                f"{f['int8_MB']:.2f}",
-                f"{f['float32_ms']:.2f}",
-                f"{f['float32_speed-up']:.2f}x",
-                f"{f['int8_ms']:.2f}",
-                f"{f['int8_speed-up']:.2f}x",
-            ]
+        lines.append(
+            f"| {name} | {f['parameters']:,} | {100 * f['zeros']:.0f}"
+            f" | {100 * f['test_relative_l2']:.1f} | {100 * f['hard_relative_l2']:.1f}"
+            f" | {f['float32_MB']:.2f} | {f['float32_zipped_MB']:.2f} | {f['int8_MB']:.2f}"
+            f" | {f['float32_ms']:.2f} | {f['float32_speed-up']:.2f}x"
+            f" | {f['int8_ms']:.2f} | {f['int8_speed-up']:.2f}x |"
         )
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    lines[1] = "|" + "---|" * len(head)
     return "\n".join(lines)
