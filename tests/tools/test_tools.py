@@ -15,7 +15,6 @@ import pytest
 
 from unet_fem.deployment import tflite as lite
 from unet_fem.networks.cnn_lstm import cnn_lstm
-from unet_fem.networks.registry import CnnLstm
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.training import settings as config
 from unet_fem.training.checkpoint import load_model
@@ -101,6 +100,7 @@ def test_the_loss_by_layer_names_the_networks_layers(quantized):
         assert all(0 < error < 0.1 for error in layers.values())
 
 
+@pytest.mark.slow
 def test_removing_units_leaves_a_smaller_run_that_every_tool_reads_and_is_made_once(folder, capsys):
     arguments = ["runs/tiny", "--filters", "--sparsity", "0.5", "--epochs", "2", "--rounds", "3"]
     main("prune.py")(arguments)
@@ -123,6 +123,7 @@ def test_removing_units_leaves_a_smaller_run_that_every_tool_reads_and_is_made_o
     assert "of an older runs/tiny; delete it" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_zeros_reach_the_share_of_the_convolutions_that_was_asked_for(folder):
     printed = alone(
         "prune.py", "runs/tiny", "--sparsity", "0.8", "--epochs", "4", "--rounds", "3"
@@ -135,17 +136,7 @@ def test_zeros_reach_the_share_of_the_convolutions_that_was_asked_for(folder):
     assert "| tiny_pruned80 |" in printed and "| 80 |" in printed
 
 
-@pytest.mark.parametrize("grid, units", [((5, 5, 3), 64), ((17, 17, 8), 512)])
-@pytest.mark.parametrize("sparsity", [0.5, 0.8])
-def test_units_are_chosen_for_the_share_of_parameters_on_any_grid(grid, units, sparsity):
-    thinner = runpy.run_path(str(TOOLS / "prune.py"))["thinner"]
-    settings = config.Settings("x", "", "", config.TrainChoice(1), CnnLstm(units=units))
-    model = cnn_lstm(grid, units, 2)
-    small = cnn_lstm(grid, thinner(model, settings, sparsity).units, 2)
-    left, whole = (network.get_layer("bilstm").count_params() for network in (small, model))
-    assert left / whole == pytest.approx(1 - sparsity, abs=0.02)
-
-
+@pytest.mark.slow
 def test_benchmark_times_every_form_of_a_run_with_the_same_threads(quantized, folder):
     printed = alone("benchmark.py", "runs/tiny", "--rounds", "3", "--soak", "200", "--out", "bench")
     result = json.loads(Path("bench.json").read_text())

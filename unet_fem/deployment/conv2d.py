@@ -19,7 +19,7 @@ from fem.errors import InputError
 from unet_fem.networks.layers import float32_twin
 
 
-def reexpress(model):
+def reexpress(model: keras.Model) -> keras.Model:
     """The float32 model with batch 1 and every 3-D layer expressed by 2-D operators, as a Keras
     model."""
 
@@ -48,11 +48,13 @@ def _check(layer):
             and {layer.groups, *layer.strides, *layer.dilation_rate} == {1}
         ):
             raise InputError(
-                f"layer {layer.name}: only convolutions with bias, odd cubic kernel, 'same' padding and no strides deploy"
+                f"layer {layer.name}: only convolutions with bias, odd cubic kernel, 'same' padding"
+                " and no strides deploy"
             )
     if isinstance(layer, layers.MaxPooling3D) and layer.strides != layer.pool_size:
         raise InputError(
-            f"layer {layer.name} pools {layer.pool_size} in strides of {layer.strides}; make them equal"
+            f"layer {layer.name} pools {layer.pool_size} in strides of {layer.strides};"
+            " make them equal"
         )
     if isinstance(layer, layers.Bidirectional) and type(layer.forward_layer) is not layers.LSTM:
         raise InputError(f"layer {layer.name}: of recurrent layers only the LSTM deploys")
@@ -98,7 +100,7 @@ def _max_pool(layer, weights, x):
 
 
 def _upsample(layer, weights, x):
-    for axis, factor in zip((3, 2, 1), reversed(layer.size)):
+    for axis, factor in zip((3, 2, 1), reversed(layer.size), strict=True):
         shape = x.shape
         x = tf.reshape(x, (math.prod(shape[: axis + 1]), 1, math.prod(shape[axis + 1 :])))
         x = tf.reshape(

@@ -2,17 +2,17 @@
 rate is kept."""
 
 import argparse
+from collections.abc import Sequence
 
 import numpy as np
 
 from fem.commands import command_line
+from unet_fem.runtime.replay import read_interaction, replay, report
 from unet_fem.runtime.surrogate import Surrogate
 
 
 @command_line
-def main(arguments=None):
-    from unet_fem.runtime.replay import read_interaction, replay, report
-
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m unet_fem.runtime", description="Replay an interaction at a fixed rate."
     )
@@ -35,7 +35,7 @@ def main(arguments=None):
         f"{options.model}, test interaction {number}: {times[-1]:g} s, {options.threads} thread(s)"
     )
     for rate in options.rate:
-        timing = replay(Surrogate(options.model, options.threads, rate), force, times, rate)
+        timing = replay(Surrogate(options.model, options.threads, rate), force, times)
         print(report(timing, rate))
     error = np.linalg.norm(timing["displacement"] - truth) / np.linalg.norm(truth)
     print(f"relative error against the FEM at the {len(times)} frames: {100 * error:.1f} %")

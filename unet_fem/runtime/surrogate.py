@@ -4,58 +4,24 @@ alone.
     python -m unet_fem.runtime model.tflite data.h5 [--interaction N] [--rate 100 1000] [--threads
     1]
 
-replays an interaction and tells how well the rate is kept. A surrogate is one file: the .tflite
-with normalisation and mask in its graph, and behind it, as a zip archive of NumPy arrays, what the
-graph does not say.
+replays an interaction and tells how well the rate is kept. A surrogate is one file, see
+unet_fem.runtime.surrogate_file.
 """
 
-import io
-import os
 import warnings
-import zipfile
 from pathlib import Path
 
 import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
+from fem.online.grid import NodeGrid
+from fem.online.stepper import State, check_interval
 from fem.online.volume import VOLUME_BAND, QuadVolume
-
-FORMAT = "unet-fem surrogate 1"
-
-
-def write_surrogate(path, model, *, mask, points, faces, interval, largest_force):
-    """Write a surrogate to `path`, at once or not at all.
-
-    model: bytes of a .tflite file. mask: (nx, ny, nz) bool, the free material nodes. points:
-    (nx*ny*nz, 3) mm.
-    faces: (M, 4) nodes of the boundary quads, counter-clockwise seen from outside. interval: s
-    between the frames of a force window. largest_force: (total, nodal) mN seen in training, see
-    `force_size`.
-    """
-    path = Path(path)
-    archive = io.BytesIO()
-    arrays = {
-        "mask": mask,
-        "points": points,
-        "faces": faces,
-        "interval": interval,
-        "largest_force": largest_force,
-    }
-    np.savez_compressed(archive, format=FORMAT, **arrays)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with open(partial, "wb") as file:
-            file.write(model)
-            file.write(archive.getvalue())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+from unet_fem.runtime.surrogate_file import read_surrogate
 
 
-def force_size(force):
+def force_size(force: np.ndarray) -> tuple[float, float]:
     """(largest total force, largest nodal force) in mN over all fields of force (..., nx, ny, nz,
     3)."""
     total = np.linalg.norm(force.sum(axis=(-4, -3, -2), dtype=float), axis=-1)
@@ -63,94 +29,117 @@ def force_size(force):
 
 
 class Surrogate:
-    """A network that answers call by call and keeps the window of past forces itself.
+    """A network that answers call by call and keeps the window of past forces itself: a
+    fem.online.stepper.Stepper.
 
-    The frames of a window are `interval` seconds apart, as in training. Without a `rate` every call
-    of `step` is one frame later than the one before. With `rate` in Hz calls come 1 / rate seconds
-    apart: each is answered for now, from the forces now, one interval ago, two intervals ago ...
-    which a ring of the recent calls holds.
+    The frames of a window are `window_interval` seconds apart, as in training. Without a `rate`
+    every call of `step` is one frame later than the one before. With `rate` in Hz calls come 1 /
+    rate seconds apart: each is answered for now, from the forces now, one window interval ago, two
+    ago ... which a ring of the recent calls holds. `interval` is what is between two calls.
+
+    grid: (nx, ny, nz). nodes: the NodeGrid of the mesh's nodes in it, and points (N, 3) mm where
+    they are; both None for a file of format 1 or a mesh that is embedded in the grid, which take
+    forces on the grid alone. mask: (nx, ny, nz) bool, the nodes that can move. mesh: digest of the
+    mesh. label: for people.
 
     After each step: `volume` in mm3; `outside_training_range`, whether the force's total or its
     largest node exceeds all of training; `volume_alarm`, whether the volume is off by more than 7
     %. The first time that either becomes true there is also a RuntimeWarning.
-
-    path: file of tools/quantize.py. threads: of the interpreter. Raises InputError for another
-    file, and for a rate at which an interval is not a whole number of calls.
     """
 
-    def __init__(self, path, threads=1, rate=None):
+    def __init__(self, path: str | Path, threads: int = 1, rate: float | None = None) -> None:
+        """path: file of tools/quantize.py. threads: of the interpreter. Raises InputError for
+        another file, and for a rate at which a window's interval is not a whole number of calls."""
         if threads < 1 or rate is not None and not rate > 0:
             raise InputError(f"threads = {threads} and rate = {rate} must be positive")
-        about = _read(path)
-        self.mask, self.interval, self.largest_force = (
-            about["mask"],
-            float(about["interval"]),
-            about["largest_force"],
-        )
+        about = read_surrogate(path)
+        self.path, self.mask = Path(path), about["mask"]
         self.grid = self.mask.shape
-        self._interpreter = Interpreter(str(path), num_threads=threads)
-        self._interpreter.allocate_tensors()
-        source, result = (
-            self._interpreter.get_input_details()[0],
-            self._interpreter.get_output_details()[0],
-        )
-        self.steps = int(source["shape"][1]) if len(source["shape"]) == 6 else 1
-        # views of the interpreter's memory, made anew at each call: it refuses to run while one is
-        # held
-        self._window = self._interpreter.tensor(source["index"])  # () -> (1, [T,] nx, ny, nz, 3)
-        self._displacement = self._interpreter.tensor(result["index"])  # () -> (1, nx, ny, nz, 3)
+        self.label = str(about.get("label", "")) or self.path.stem
+        self.mesh = str(about.get("mesh", ""))
+        index = about.get("index", np.arange(0))
+        self._layout = NodeGrid(self.grid, index)
+        self.nodes = self._layout if len(index) else None
+        self.points = about["points"][index] if len(index) else None
+        self.largest_force = tuple(about["largest_force"].tolist())
+        self.window_interval = float(about["interval"])
+        self.steps = self._open(threads)
         self._stride = self._calls_an_interval(rate) if self.steps > 1 else 1
+        self.interval: float | None = self.window_interval if rate is None else 1 / rate
         field = (*self.grid, 3)
         self._recent = np.zeros(
             (self._stride * (self.steps - 1) + 1, *field), "float32"
         )  # ring of forces
-        self._finite = np.empty(field, bool)
         self._square, self._total = np.empty(self.mask.size, "float32"), np.empty(3, "float32")
         self._ones = np.ones(self.mask.size, "float32")
         self._volume = QuadVolume(about["points"], about["faces"], self.mask)
         self.rest_volume = self._volume(np.zeros(field, "float32"))
-        self._warned = set()
+        self._warned: set[str] = set()
         self.reset()
 
+    def _open(self, threads):
+        """Load the graph. Returns the frames of its window, 1 if it has no window."""
+        try:
+            self._interpreter = Interpreter(str(self.path), num_threads=threads)
+            self._interpreter.allocate_tensors()
+        except (ValueError, RuntimeError) as error:
+            raise InputError(
+                f"{self.path} cannot be loaded by LiteRT ({str(error).splitlines()[0]});"
+                " make it again with python tools/quantize.py runs/<name>"
+            ) from None
+        source = self._interpreter.get_input_details()[0]
+        result = self._interpreter.get_output_details()[0]
+        taken, given = tuple(source["shape"].tolist()), tuple(result["shape"].tolist())
+        field = (*self.grid, 3)
+        if (taken[0], taken[-4:], len(taken) in (5, 6), given) != (1, field, True, (1, *field)):
+            raise InputError(
+                f"the graph in {self.path} takes {taken} and gives {given} on a grid of"
+                f" {self.grid} nodes; make it again with python tools/quantize.py runs/<name>"
+            )
+        # views of the interpreter's memory, made anew at each call: it refuses to run while one is
+        # held
+        self._window = self._interpreter.tensor(source["index"])  # () -> (1, [T,] nx, ny, nz, 3)
+        self._displacement = self._interpreter.tensor(result["index"])  # () -> (1, nx, ny, nz, 3)
+        return taken[1] if len(taken) == 6 else 1
+
     def _calls_an_interval(self, rate):
-        calls = 1 if rate is None else rate * self.interval
+        calls = 1 if rate is None else rate * self.window_interval
         if calls < 0.5 or abs(calls - round(calls)) > 1e-6 * calls:
             raise InputError(
-                f"at {rate:g} Hz the {self.interval:g} s between the frames of a window are not a whole number of calls;"
-                f" use a multiple of {1 / self.interval:g} Hz"
+                f"at {rate:g} Hz the {self.window_interval:g} s between the frames of a window are"
+                f" not a whole number of calls; use a multiple of {1 / self.window_interval:g} Hz"
             )
         return round(calls)
 
-    def reset(self):
+    def reset(self) -> None:
         """Back to rest: no force in the past."""
         self._recent[:] = 0
         self._newest = 0
+        self._clear_flags()
+
+    def _clear_flags(self):
         self.outside_training_range = self.volume_alarm = False
         self.volume = self.rest_volume
 
-    def step(self, force, out=None):
-        """Displacement (nx, ny, nz, 3) mm under force (nx, ny, nz, 3) mN and the forces of the
-        calls before.
+    def step(
+        self, force: np.ndarray, dt: float | None = None, *, out: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Displacement in mm under `force` in mN and the forces of the calls before.
 
-        out: float32 array to write it to, for a loop that must not allocate; a new one if None.
-        Raises InputError for a force of another shape or with values that are not finite; the
-        window is then as it was.
+        force: (N, 3) at the mesh's nodes or (nx, ny, nz, 3); the displacement has the same layout.
+        dt: None or `interval`. out: float32 array to write it to, for a loop that must not
+        allocate; a new one if None. Raises InputError for a force of another shape or with values
+        that are not finite, and for another dt; the window is then as it was.
         """
+        check_interval(self.interval, dt)
         force = np.asarray(force)
-        if force.shape != self._finite.shape or force.dtype.kind not in "fiu":
-            raise InputError(
-                f"force is {force.dtype} of shape {force.shape}; give real numbers of shape {self._finite.shape}"
-            )
+        nodal = self._is_nodal(force)
         newest = (self._newest + 1) % len(self._recent)
         now = self._recent[newest]
-        np.copyto(now, force, casting="same_kind" if force.dtype.kind == "f" else "unsafe")
-        if not np.isfinite(now, out=self._finite).all():
-            node = tuple(int(n) for n in np.argwhere(~self._finite)[0])
-            raise InputError(
-                f"force is {force[node]} at {node} (node x, y, z, component); give finite values"
-            )
+        np.copyto(now, self._layout.to_grid(force) if nodal else force, casting="unsafe")
+        size = self._force_size(now.reshape(-1, 3))
         self._newest = newest
-        self._judge_force(now.reshape(-1, 3))
+        self._judge_force(*size)
         window = self._window()
         if window.ndim == 6:
             for t in range(self.steps):
@@ -159,25 +148,67 @@ class Surrogate:
             window[0] = now
         del window
         self._interpreter.invoke()
+        answer = np.empty(now.shape, "float32") if out is None or nodal else out
+        np.copyto(answer, self._displacement()[0])
+        self._judge_volume(answer)
+        if not nodal:
+            return answer
+        answer = self._layout.from_grid(answer)
         if out is None:
-            out = np.empty(self._finite.shape, "float32")
-        np.copyto(out, self._displacement()[0])
-        self._judge_volume(out)
+            return answer
+        np.copyto(out, answer)
         return out
 
-    def _judge_force(self, force):
+    def state(self) -> State:
+        """{"forces": (calls, nx, ny, nz, 3) float32 mN}: those of the recent calls that the next
+        answer may depend on, oldest first."""
+        return {"forces": np.roll(self._recent, -self._newest - 1, axis=0)[1:]}
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave; a surrogate of the same grid, window and rate will do.
+        Raises InputError for another."""
+        forces = np.asarray(state.get("forces"))
+        past = self._recent[1:]
+        fits = (forces.shape, forces.dtype) == (past.shape, past.dtype)
+        if state.keys() != {"forces"} or not fits or not np.isfinite(forces).all():
+            raise InputError(
+                f"this is not the state of a surrogate with the window of {self.path}"
+                f" called every {self.interval:g} s; restore what its own state() gave"
+            )
+        past[:] = forces
+        self._newest = len(past)
+        self._clear_flags()
+
+    def _is_nodal(self, force):
+        if self.nodes is None and force.shape != (*self.grid, 3):
+            raise InputError(
+                f"the force is of shape {force.shape}; give {(*self.grid, 3)}: {self.path} has no"
+                " places of the mesh's nodes in the grid. A file of format 1 gets them when it is"
+                " made again with python tools/quantize.py runs/<name>"
+            )
+        return self._layout.is_nodal(force)
+
+    def _force_size(self, force):
+        """`force_size` of one field (nx*ny*nz, 3), without a copy. Raises InputError where float32
+        does not hold it."""
         np.einsum("ni,ni->n", force, force, out=self._square)
         np.matmul(self._ones, force, out=self._total)
-        nodal, total = float(self._square.max()) ** 0.5, float(self._total @ self._total) ** 0.5
+        total, nodal = float(self._total @ self._total) ** 0.5, float(self._square.max()) ** 0.5
+        if not total + nodal < np.inf:
+            raise InputError("the force is too large for float32; give it in mN")
+        return total, nodal
+
+    def _judge_force(self, total, nodal):
         most_total, most_nodal = self.largest_force
-        self.outside_training_range = bool(
+        self.outside_training_range = (
             total > 1.00001 * most_total or nodal > 1.00001 * most_nodal
         )  # but for rounding
         if self.outside_training_range:
             seen = f"trained up to {most_total:.3g} mN in total and {most_nodal:.3g} mN at a node"
             self._warn(
                 "force",
-                f"the force ({total:.3g} mN in total, {nodal:.3g} mN at a node) leaves the training range: {seen}",
+                f"the force ({total:.3g} mN in total, {nodal:.3g} mN at a node) leaves the"
+                f" training range: {seen}",
             )
 
     def _judge_volume(self, displacement):
@@ -187,7 +218,8 @@ class Surrogate:
         if self.volume_alarm:
             self._warn(
                 "volume",
-                f"the predicted volume is off by {100 * change:+.1f} %: do not trust this displacement",
+                f"the predicted volume is off by {100 * change:+.1f} %: do not trust this"
+                " displacement",
             )
 
     def _warn(self, what, message):
@@ -198,19 +230,3 @@ class Surrogate:
                 RuntimeWarning,
                 stacklevel=4,
             )
-
-
-def _read(path):
-    """The arrays behind the graph of the surrogate at `path`."""
-    if not Path(path).is_file():
-        raise InputError(f"no surrogate {path}; make it with python tools/quantize.py runs/<name>")
-    try:
-        with open(path, "rb") as file, np.lib.npyio.NpzFile(file) as archive:
-            about = {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, ValueError):
-        about = {}
-    if about.get("format") != FORMAT:
-        raise InputError(
-            f"{path} is not a '{FORMAT}' file; make one with python tools/quantize.py runs/<name>"
-        )
-    return about

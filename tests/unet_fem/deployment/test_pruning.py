@@ -5,9 +5,11 @@ import keras
 import numpy as np
 import pytest
 
-from unet_fem.deployment import pruning as prune
-from unet_fem.networks import unet as unet_module
+from unet_fem.deployment.pruning import magnitude_prune
+from unet_fem.deployment.thinning import smaller_size, thin
+from unet_fem.deployment.twins import legacy_twin
 from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.registry import CnnLstm, UNet
 from unet_fem.networks.unet import unet
 
 GRID = (9, 9, 5)
@@ -17,6 +19,10 @@ MASK = np.random.default_rng(0).random(GRID) > 0.3
 def build(kind, size):
     scale = {"force_scale": 2.0, "displacement_scale": 0.1, "mask": MASK}
     return unet(GRID, size, **scale) if kind == "unet" else cnn_lstm(GRID, size, 2, **scale)
+
+
+def options(kind, size):
+    return UNet(filters=size) if kind == "unet" else CnnLstm(units=size, steps=2)
 
 
 def silence(model, name, channels):
@@ -35,8 +41,9 @@ def outputs(model, seed=1):
 def test_the_keras_2_twin_computes_the_same(kind, size):
     model = build(kind, size)
     force = np.random.default_rng(1).random((2, *model.input_shape[1:]), "float32")
-    np.testing.assert_array_equal(prune.legacy_twin(model)(force).numpy(), np.asarray(model(force)))
-    assert unet_module.keras is keras  # the swap is undone
+    twin = legacy_twin(model, options(kind, size))
+    np.testing.assert_array_equal(twin(force).numpy(), np.asarray(model(force)))
+    assert type(twin).__module__.startswith("tf_keras")
 
 
 def test_a_thin_unet_without_its_silent_filters_computes_the_same():
@@ -52,9 +59,9 @@ def test_a_thin_unet_without_its_silent_filters_computes_the_same():
         silence(model, name, slice(1, None, 2))
     for name in ("bottleneck_conv1", "bottleneck_conv2", "decoder_conv4"):
         silence(model, name, slice(0, None, 2))
-    thin = prune.thin(model, 4)
-    assert thin.count_params() < 0.3 * model.count_params()
-    np.testing.assert_allclose(outputs(thin), outputs(model), atol=1e-8)
+    slim = thin(model, options("unet", 4))
+    assert slim.count_params() < 0.3 * model.count_params()
+    np.testing.assert_allclose(outputs(slim), outputs(model), atol=1e-8)
 
 
 def test_a_thin_cnn_lstm_without_its_unread_units_computes_the_same():
@@ -67,9 +74,9 @@ def test_a_thin_cnn_lstm_without_its_unread_units_computes_the_same():
     for recurrent in (weights[1], weights[4]):
         recurrent[unread] = 0
     lstm.set_weights(weights)
-    thin = prune.thin(model, 8)
-    assert thin.get_layer("bilstm").forward_layer.units == 8
-    np.testing.assert_allclose(outputs(thin), outputs(model), atol=1e-7)
+    slim = thin(model, options("cnn_lstm", 8))
+    assert slim.get_layer("bilstm").forward_layer.units == 8
+    np.testing.assert_allclose(outputs(slim), outputs(model), atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -77,9 +84,24 @@ def test_a_thin_cnn_lstm_without_its_unread_units_computes_the_same():
 )  # blocks of one cell and of three
 def test_a_thin_cnn_lstm_keeps_as_many_units_of_both_directions(grid, units):
     model = cnn_lstm(grid, units, 2)
-    thin = prune.thin(model, units // 2)
-    assert thin.get_layer("bilstm").forward_layer.units == units // 2
-    assert np.isfinite(outputs(thin)).all()
+    slim = thin(model, options("cnn_lstm", units // 2))
+    assert slim.get_layer("bilstm").forward_layer.units == units // 2
+    assert np.isfinite(outputs(slim)).all()
+
+
+@pytest.mark.parametrize("grid, units", [((5, 5, 3), 64), ((17, 17, 8), 512)])
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_units_are_chosen_for_the_share_of_parameters_on_any_grid(grid, units, share):
+    model = cnn_lstm(grid, units, 2)
+    small = cnn_lstm(grid, smaller_size(model, options("cnn_lstm", units), share), 2)
+    left, whole = (network.get_layer("bilstm").count_params() for network in (small, model))
+    assert left / whole == pytest.approx(1 - share, abs=0.02)
+
+
+def test_filters_are_chosen_for_the_share_of_parameters():
+    model = unet((17, 17, 8), 64)
+    small = unet((17, 17, 8), smaller_size(model, UNet(filters=64), 0.5))
+    assert small.count_params() / model.count_params() == pytest.approx(0.5, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -92,8 +114,9 @@ def test_magnitude_pruning_zeroes_the_share_that_was_asked_for(kind, size, preci
         rng.random((8, *model.input_shape[1:]), "float32"),
         rng.random((8, *model.output_shape[1:]), "float32"),
     )
-    prune.magnitude_prune(
+    magnitude_prune(
         model,
+        options(kind, size),
         0.8,
         force,
         target,

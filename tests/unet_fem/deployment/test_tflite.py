@@ -8,6 +8,7 @@ from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
 from unet_fem.deployment import tflite as lite
+from unet_fem.deployment.tflite_graph import audit
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.networks.layers import float32_twin
 from unet_fem.networks.linear import linear_regression
@@ -79,6 +80,7 @@ def test_linear_regression_equals_keras():
     assert worst(run(lite.export(model, "float32"), x), model(x)) < 1e-5
 
 
+@pytest.mark.slow
 def test_paper_cnn_lstm_is_a_quarter_in_int8_weights_and_close_to_keras():
     keras.utils.set_random_seed(0)
     model, x = cnn_lstm(), forces(2, 2, 17, 17, 8, 3)
@@ -123,18 +125,18 @@ def test_audit_catches_conv_3d_and_flex():
     inputs = keras.Input((6, 6, 6, 2), batch_size=1)
     conv = keras.Model(inputs, keras.layers.Conv3D(2, 3, padding="same")(inputs))
     with pytest.raises(InputError, match="int8: operator CONV_3D stays float32"):
-        lite.audit(naive(conv), "int8")
+        audit(naive(conv), "int8")
     pool = keras.Model(inputs, keras.layers.MaxPooling3D(2)(inputs))
     with pytest.raises(InputError, match="float32: operator FlexMaxPool3D is not builtin"):
-        lite.audit(naive(pool, tf.lite.OpsSet.SELECT_TF_OPS), "float32")
+        audit(naive(pool, tf.lite.OpsSet.SELECT_TF_OPS), "float32")
 
 
 def test_audit_catches_float_weights_and_activations():
     model, _ = build("unet")
     with pytest.raises(InputError, match="dynamic: CONV_2D '.*' has no int8 weights"):
-        lite.audit(lite.export(model, "float32"), "dynamic")
+        audit(lite.export(model, "float32"), "dynamic")
     with pytest.raises(InputError, match="int8: CONV_2D '.*' has no int8 activations"):
-        lite.audit(lite.export(model, "dynamic"), "int8")
+        audit(lite.export(model, "dynamic"), "int8")
 
 
 def test_what_cannot_be_exported_is_named():

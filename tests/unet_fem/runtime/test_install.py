@@ -15,7 +15,7 @@ import pytest
 from fem.data.dataset import open_dataset
 from unet_fem.deployment import tflite as lite
 from unet_fem.networks.cnn_lstm import cnn_lstm
-from unet_fem.runtime.surrogate import write_surrogate
+from unet_fem.runtime.surrogate_file import write_surrogate
 from unet_fem.training.samples import windows
 
 ROOT = Path(__file__).parents[3]

@@ -1,9 +1,9 @@
-"""The surrogate at run time: its window, its checks, and that it needs and leaks nothing."""
+"""The surrogate at run time: its window, its checks, its file, and that it needs and leaks
+nothing."""
 
 import os
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -13,11 +13,13 @@ import pytest
 
 from fem.data.dataset import open_dataset
 from fem.errors import InputError
+from fem.online.stepper import Stepper
 from unet_fem.deployment import tflite as lite
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.networks.unet import unet
-from unet_fem.runtime.__main__ import main
-from unet_fem.runtime.surrogate import Surrogate, force_size, write_surrogate
+from unet_fem.runtime import surrogate_file
+from unet_fem.runtime.surrogate import Surrogate, force_size
+from unet_fem.runtime.surrogate_file import FORMAT_1, read_surrogate, write_surrogate
 from unet_fem.training import losses
 from unet_fem.training.samples import windows
 
@@ -36,13 +38,7 @@ def network(dataset, kind, displacement_scale=0.05):
 
 def write(path, model, dataset, variant="float32"):
     write_surrogate(
-        path,
-        lite.export(model, variant),
-        mask=dataset.free,
-        points=dataset.points.reshape(-1, 3),
-        faces=dataset.mesh.grid.index[dataset.mesh.boundary_faces],
-        interval=dataset.scene.frames.interval,
-        largest_force=force_size(dataset.read("train")["force"]),
+        path, lite.export(model, variant), **lite.surrogate_facts(dataset), label=f"tiny: {variant}"
     )
     return path
 
@@ -117,7 +113,7 @@ def test_rate_must_fit_the_interval(file):
 def test_out_is_written_and_returned(file, force):
     out = np.empty_like(force[0, 0])
     surrogate, other = Surrogate(file), Surrogate(file)
-    assert surrogate.step(force[0, 1], out) is out
+    assert surrogate.step(force[0, 1], out=out) is out
     np.testing.assert_array_equal(out, other.step(force[0, 1].astype(float)))
 
 
@@ -125,7 +121,7 @@ def test_out_is_written_and_returned(file, force):
     "wrong", [np.zeros((4, 5, 3, 3)), np.zeros((5, 5, 3)), np.zeros((5, 5, 3, 3), complex), "push"]
 )
 def test_wrong_force_is_an_error_that_names_the_shape(file, wrong):
-    with pytest.raises(InputError, match=r"give real numbers of shape \(5, 5, 3, 3\)"):
+    with pytest.raises(InputError, match=r"give real numbers of shape .* or \(5, 5, 3, 3\)"):
         Surrogate(file).step(wrong)
 
 
@@ -173,14 +169,14 @@ def test_volume_is_that_of_the_loss_and_raises_the_alarm(dataset, folder, force)
             folder / "wild.tflite", network(dataset, "cnn_lstm", displacement_scale=20.0), dataset
         )
     )
-    points, faces = (
-        dataset.points.reshape(-1, 3),
-        dataset.mesh.grid.index[dataset.mesh.boundary_faces],
-    )
-    assert wild.rest_volume == pytest.approx(dataset.rest_volume, rel=1e-5)
+
+    def volume(displacement):
+        return float(losses.deformed_volume(displacement[None], *dataset.surface)[0])
+
+    assert wild.rest_volume == pytest.approx(volume(np.zeros_like(force[0, 0])), rel=1e-5)
     with pytest.warns(RuntimeWarning, match="predicted volume is off by"):
         displacement = wild.step(force[0, -1])
-    expected = float(losses.deformed_volume(displacement[None], points, faces)[0])
+    expected = volume(displacement)
     assert wild.volume == pytest.approx(expected, rel=1e-4)
     assert wild.volume_alarm and abs(expected / wild.rest_volume - 1) > 0.07
     wild.reset()
@@ -193,14 +189,153 @@ def test_small_displacements_raise_no_volume_alarm(file, force):
     assert not surrogate.volume_alarm and not surrogate.outside_training_range
 
 
+def test_a_surrogate_is_a_stepper_of_a_fixed_interval(file, force):
+    assert isinstance(Surrogate(file), Stepper)
+    assert Surrogate(file).interval == 0.2 and Surrogate(file, rate=20.0).interval == 0.05
+    surrogate, other = Surrogate(file, rate=20.0), Surrogate(file, rate=20.0)
+    for s in (surrogate, other):
+        s.step(force[0, 1], 0.05)
+    with pytest.raises(InputError, match="made for 0.05 s between calls"):
+        surrogate.step(force[0, 2], 0.2)
+    np.testing.assert_array_equal(surrogate.step(force[0, 2]), other.step(force[0, 2]))
+
+
+def test_forces_at_the_nodes_give_displacements_at_the_nodes(file, force):
+    on_grid, nodal, into = Surrogate(file), Surrogate(file), Surrogate(file)
+    out = np.empty((nodal.nodes.n_nodes, 3), "float32")
+    for field in force[0]:
+        expected = on_grid.nodes.from_grid(on_grid.step(field))
+        at_nodes = nodal.nodes.from_grid(field)
+        np.testing.assert_array_equal(nodal.step(at_nodes), expected)
+        assert into.step(at_nodes, out=out) is out
+        np.testing.assert_array_equal(out, expected)
+
+
+@pytest.mark.parametrize("calls", [0, 1, 5, 14])
+def test_a_state_restored_goes_on_exactly(dataset, file, calls):
+    fields = np.random.default_rng(1).normal(0, 0.01, (24, *dataset.grid, 3)).astype("float32")
+    surrogate, other = Surrogate(file, rate=20.0), Surrogate(file, rate=20.0)
+    for field in fields[:calls]:
+        surrogate.step(field)
+    state = surrogate.state()
+    expected = [surrogate.step(field) for field in fields[calls : calls + 10]]
+    other.step(fields[-1])
+    for s in (surrogate, other):  # the one that gave it, and another
+        s.restore(state)
+        np.testing.assert_array_equal(s.state()["forces"], state["forces"])
+        answers = [s.step(field) for field in fields[calls : calls + 10]]
+        np.testing.assert_array_equal(answers, expected)
+
+
+def test_the_state_of_another_stepper_is_refused(file):
+    surrogate = Surrogate(file, rate=20.0)
+    alien = {name: values.astype(float) for name, values in surrogate.state().items()}
+    for state in (Surrogate(file).state(), alien, {"u": np.zeros(3)}, {}):
+        with pytest.raises(InputError, match="is not the state of a surrogate"):
+            surrogate.restore(state)
+
+
+def test_a_force_too_large_for_float32_is_refused_and_leaves_the_window_alone(file, force):
+    surrogate, other = Surrogate(file), Surrogate(file)
+    with pytest.raises(InputError, match="too large for float32"), np.errstate(over="ignore"):
+        surrogate.step(np.full(force[0, 1].shape, 1e300))
+    np.testing.assert_array_equal(surrogate.step(force[0, 2]), other.step(force[0, 2]))
+
+
 def test_other_files_are_refused(tmp_path, model, tiny_dataset):
     bare = tmp_path / "bare.tflite"
     bare.write_bytes(lite.export(model, "float32"))
     for path in (bare, tiny_dataset):
-        with pytest.raises(InputError, match="is not a 'unet-fem surrogate 1' file"):
+        with pytest.raises(InputError, match="is not a 'unet-fem surrogate 2' file"):
             Surrogate(path)
     with pytest.raises(InputError, match="no surrogate"):
         Surrogate(tmp_path / "none.tflite")
+
+
+def rewritten(file, path, graph=None, **changes):
+    """A copy of the surrogate `file` at `path` with other arrays behind the graph; None leaves one
+    out."""
+    with open(file, "rb") as whole, np.lib.npyio.NpzFile(whole) as archive:
+        arrays = dict(archive) | changes
+        start = archive.zip.infolist()[0].header_offset
+    with open(path, "wb") as out:
+        out.write(file.read_bytes()[:start] if graph is None else graph)
+        np.savez(out, **{name: array for name, array in arrays.items() if array is not None})
+    return path
+
+
+def test_the_file_tells_what_the_graph_does_not(dataset, file):
+    surrogate = Surrogate(file)
+    assert surrogate.label == "tiny: float32"
+    assert surrogate.mesh == lite.mesh_digest(dataset) and len(surrogate.mesh) == 16
+    index = np.flatnonzero(dataset.mask)
+    np.testing.assert_array_equal(surrogate.nodes.index, index)
+    np.testing.assert_array_equal(surrogate.points, dataset.points.reshape(-1, 3)[index])
+
+
+def test_files_of_format_1_still_open_and_take_forces_on_the_grid_alone(file, tmp_path, force):
+    old = rewritten(
+        file, tmp_path / "old.tflite", format=FORMAT_1, index=None, mesh=None, label=None
+    )
+    surrogate = Surrogate(old)
+    np.testing.assert_array_equal(surrogate.step(force[0, 1]), Surrogate(file).step(force[0, 1]))
+    assert surrogate.nodes is None and surrogate.label == "old"
+    with pytest.raises(InputError, match="no places of the mesh's nodes .* format 1 .* made again"):
+        surrogate.step(np.zeros((75, 3)))
+
+
+def test_a_mesh_embedded_in_the_grid_takes_forces_on_the_grid_alone(file, tmp_path, force):
+    embedded = rewritten(file, tmp_path / "embedded.tflite", index=np.empty(0, int))
+    assert Surrogate(embedded).step(force[0, 1]).shape == force[0, 1].shape
+    with pytest.raises(InputError, match="no places of the mesh's nodes"):
+        Surrogate(embedded).step(np.zeros((75, 3)))
+
+
+def test_a_format_of_the_future_is_refused(file, tmp_path):
+    newer = rewritten(file, tmp_path / "newer.tflite", format="unet-fem surrogate 3")
+    with pytest.raises(InputError, match="format: unet-fem surrogate 3"):
+        Surrogate(newer)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"index": None},
+        {"index": np.array([0, 75])},
+        {"index": np.array([0, 0])},
+        {"points": np.full((75, 3), np.nan)},
+        {"faces": np.array([[0, 1, 2, -1]])},
+        {"interval": np.array(0.0)},
+        {"largest_force": np.zeros(3)},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_arrays_that_do_not_fit_each_other_are_refused(file, tmp_path, change):
+    with pytest.raises(InputError, match="is damaged"):
+        Surrogate(rewritten(file, tmp_path / "damaged.tflite", **change))
+
+
+def test_a_graph_that_does_not_load_or_fit_is_refused(file, tmp_path):
+    with pytest.raises(InputError, match="cannot be loaded by LiteRT"):
+        Surrogate(rewritten(file, tmp_path / "noise.tflite", graph=bytes(1000)))
+    other = lite.export(unet((4, 4, 4), 2), "float32")
+    with pytest.raises(InputError, match=r"the graph in .* takes \(1, 4, 4, 4, 3\)"):
+        Surrogate(rewritten(file, tmp_path / "other.tflite", graph=other))
+
+
+def test_no_pickle_is_loaded_and_no_array_without_bounds(file, tmp_path, monkeypatch):
+    class Trap:
+        def __reduce__(self):
+            return os.system, ("touch sprung",)
+
+    trap = rewritten(file, tmp_path / "trap.tflite", label=np.array(Trap(), dtype=object))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="is not a"):
+        Surrogate(trap)
+    assert not Path("sprung").exists()
+    monkeypatch.setattr(surrogate_file, "LARGEST", 1000)
+    with pytest.raises(InputError, match="MiB of arrays"):
+        read_surrogate(file)
 
 
 def test_a_failed_write_leaves_the_old_file(dataset, file, model, monkeypatch):
@@ -209,7 +344,7 @@ def test_a_failed_write_leaves_the_old_file(dataset, file, model, monkeypatch):
     with pytest.raises(OSError):
         write(file, model, dataset)
     assert file.read_bytes() == before
-    assert not list(file.parent.glob(".*partial"))
+    assert not list(file.parent.glob(".*partial*"))
 
 
 def python(code, *arguments):
@@ -224,17 +359,50 @@ def python(code, *arguments):
     return result.stdout.split()
 
 
+BLOCKED = """
+import sys
+
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("h5py keras matplotlib meshio psutil scipy tensorflow"
+                                      " tf_keras threadpoolctl tqdm").split():
+            raise ModuleNotFoundError(f"{name} is blocked")
+
+sys.meta_path.insert(0, Blocker())
+"""
+
+
+def test_the_runtime_needs_numpy_and_litert_alone(file, tiny_dataset):
+    code = (
+        BLOCKED
+        + """
+import numpy as np
+from fem.errors import InputError
+from unet_fem.runtime import Surrogate
+from unet_fem.runtime.replay import read_interaction, replay
+
+surrogate = Surrogate(sys.argv[1], rate=100.0)
+force = np.zeros((2, *surrogate.grid, 3), "float32")
+assert surrogate.step(force[0]).shape == (*surrogate.grid, 3)
+assert replay(surrogate, force, np.array([0.0, 0.1]))["took"].shape == (11,)
+try:
+    read_interaction(sys.argv[2])
+except InputError as error:
+    print("unet-fem[fem]" in str(error))
+"""
+    )
+    assert python(code, file, tiny_dataset) == ["True"]
+
+
+@pytest.mark.timing
 def test_import_is_light():
     code = """
-import sys, time
+import time
 start = time.process_time()
-import unet_fem.runtime
+from unet_fem.runtime import Surrogate
 print(time.process_time() - start)
-print([name for name in ("tensorflow", "keras", "h5py", "scipy", "tf_keras") if name in sys.modules] or "light")
 """
-    runs = [python(code) for _ in range(3)]
-    assert {words[1] for words in runs} == {"light"}
-    assert min(float(words[0]) for words in runs) < 0.5
+    assert min(float(python(code)[0]) for _ in range(3)) < 0.5
 
 
 def test_thousands_of_steps_do_not_grow(file):
@@ -249,7 +417,7 @@ force = np.random.default_rng(0).normal(0, 1e-3, (*surrogate.grid, 3)).astype("f
 out = np.empty_like(force)
 def soak(count):
     for _ in range(count):
-        surrogate.step(force, out)
+        surrogate.step(force, out=out)
 soak(1000)
 before = resident()
 soak(5000)
@@ -266,14 +434,3 @@ print(tracemalloc.get_traced_memory()[1] - held)
     grown, allocated = map(int, python(code, file))
     assert grown < 300_000
     assert allocated < 5_000  # array headers only: no copy of a field is made
-
-
-def test_replay_reports_its_rates(file, tiny_dataset, capsys):
-    start = time.perf_counter()
-    main([str(file), str(tiny_dataset), "--rate", "50", "100"])
-    text = capsys.readouterr().out
-    assert "50 Hz: achieved" in text and "100 Hz: achieved" in text and "deadlines" in text
-    assert time.perf_counter() - start > 0.8  # two replays of 0.4 s, in real time
-    with pytest.raises(SystemExit):
-        main([str(file), str(tiny_dataset), "--interaction", "99"])
-    assert "no test interaction 99" in capsys.readouterr().err

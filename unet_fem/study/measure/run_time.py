@@ -6,6 +6,8 @@ the caches that it can have; the turns alternate, so that a disturbance of the m
 alike.
 """
 
+from functools import partial
+
 import numpy as np
 
 from fem.measure.timing import alternate, quantiles
@@ -25,6 +27,7 @@ def run(study):
     from unet_fem.deployment import latency
 
     latency.use_threads(1)
+    from unet_fem.deployment.forms import forms
     from unet_fem.study import regressions
     from unet_fem.study.measure import fixed_latency
     from unet_fem.training.run import open_run
@@ -33,8 +36,8 @@ def run(study):
     for folder in deployed_runs(study):
         settings, dataset = open_run(folder)
         actions |= {
-            f"{settings.name}: {form}": action
-            for form, action in latency.network_actions(settings, dataset).items()
+            f"{settings.name}: {form}": partial(make().step, dataset.read("test")["force"][0, -1])
+            for form, make in forms(settings, dataset).items()
         }
     actions |= regressions.actions(study, dataset)
     actions |= fixed_latency.frame_actions(study, dataset)

@@ -1,0 +1,32 @@
+"""What deployment finds in a run's folder: the trained model, and the surrogates that it was
+exported to, lite/<variant>.tflite. Looked for before anything heavy is imported."""
+
+from pathlib import Path
+
+from fem.errors import InputError
+from unet_fem.training.settings import Settings
+
+
+def model_file(settings: Settings) -> Path:
+    """The trained model. Raises InputError if there is none."""
+    path = settings.folder / "best.keras"
+    if not path.is_file():
+        raise InputError(f"no model {path}; train one with python -m unet_fem.train")
+    return path
+
+
+def lite_file(settings: Settings, variant: str) -> Path:
+    """Where the surrogate of this variant belongs."""
+    return settings.folder / "lite" / f"{variant}.tflite"
+
+
+def lite_files(settings: Settings) -> dict[str, Path]:
+    """{variant: path} of those that are there. Raises InputError if there are none."""
+    folder = settings.folder / "lite"
+    files = sorted(folder.glob("*.tflite"))
+    if not files:
+        raise InputError(
+            f"{folder} holds no .tflite files;"
+            f" make them with python tools/quantize.py {settings.folder}"
+        )
+    return {path.stem: path for path in files}

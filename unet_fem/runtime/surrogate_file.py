@@ -1,0 +1,137 @@
+"""The file of a surrogate: a .tflite with normalisation and mask in its graph, and behind it, as a
+zip archive of NumPy arrays, what the graph does not say.
+
+Format 2 holds all that `write_surrogate` takes. Format 1 lacks the nodes' places in the grid, the
+mesh's digest and the label; it opens, but its surrogate takes forces on the grid alone.
+"""
+
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from fem.errors import InputError
+from fem.files import write_bytes
+
+FORMAT, FORMAT_1 = "unet-fem surrogate 2", "unet-fem surrogate 1"
+LARGEST = 2**28  # bytes that the arrays of one file may take in memory
+
+
+def write_surrogate(
+    path: str | Path,
+    model: bytes,
+    *,
+    mask: np.ndarray,
+    index: np.ndarray,
+    points: np.ndarray,
+    faces: np.ndarray,
+    mesh: str,
+    interval: float,
+    largest_force: tuple[float, float],
+    label: str = "",
+) -> None:
+    """Write a surrogate to `path`, at once or not at all.
+
+    model: bytes of a .tflite file. mask: (nx, ny, nz) bool, the free material nodes. index: (N,)
+    places of the mesh's nodes in the grid, see fem.online.grid.NodeGrid; none of a mesh that is
+    embedded in the grid, whose nodes lie elsewhere. points: (nx*ny*nz, 3) mm.
+    faces: (M, 4) grid nodes of the boundary quads, counter-clockwise seen from outside. mesh: a
+    digest that tells this mesh from others. interval: s between the frames of a force window.
+    largest_force: (total, nodal) mN seen in training, see unet_fem.runtime.surrogate.force_size.
+    label: for people, such as "paper: int8".
+    """
+    archive = io.BytesIO()
+    np.savez_compressed(
+        archive,
+        format=FORMAT,
+        mask=mask,
+        index=index,
+        points=points,
+        faces=faces,
+        mesh=mesh,
+        interval=float(interval),
+        largest_force=np.asarray(largest_force, float),
+        label=label,
+    )
+    write_bytes(path, model + archive.getvalue())
+
+
+def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
+    """{name: array} of what `write_surrogate` put behind the graph; without index, mesh and label
+    for a file of format 1.
+
+    Raises InputError for a file that is missing, damaged, or of another format.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"no surrogate {path}; make it with python tools/quantize.py runs/<name>")
+    arrays = _arrays(path)
+    found = str(arrays.get("format", "unknown"))
+    if found not in (FORMAT, FORMAT_1):
+        raise InputError(
+            f"{path} is not a '{FORMAT}' file (format: {found}), and this version opens no"
+            f" other but '{FORMAT_1}'; make one with python tools/quantize.py runs/<name>"
+        )
+    if not _whole(arrays, found == FORMAT):
+        raise InputError(
+            f"{path} is damaged: its arrays are incomplete or do not fit each other;"
+            " make it again with python tools/quantize.py runs/<name>"
+        )
+    return arrays
+
+
+def _arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays behind the graph; none where there is no archive, or none that can be read."""
+    with open(path, "rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+            if size > LARGEST:
+                raise InputError(
+                    f"{path} holds {size / 2**20:.0f} MiB of arrays, more than the"
+                    f" {LARGEST // 2**20} MiB of any surrogate; do not trust it"
+                )
+            file.seek(0)
+            # not np.load, which looks for the archive at the start of the file
+            with np.lib.npyio.NpzFile(file, allow_pickle=False) as arrays:
+                return {name: arrays[name] for name in arrays.files}
+        except InputError:
+            raise
+        except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, MemoryError):
+            return {}
+
+
+def _whole(arrays: dict[str, np.ndarray], with_nodes: bool) -> bool:
+    """Whether all that belongs to a surrogate is there, in shapes that fit."""
+    names = {"mask", "points", "faces", "interval", "largest_force"}
+    if not names | ({"index", "mesh", "label"} if with_nodes else set()) <= arrays.keys():
+        return False
+    mask, points, faces = (arrays[name] for name in ("mask", "points", "faces"))
+    interval, largest = arrays["interval"], arrays["largest_force"]
+    return bool(
+        (mask.dtype, mask.ndim) == (bool, 3)
+        and points.dtype.kind == "f"
+        and points.shape == (mask.size, 3)
+        and np.isfinite(points).all()
+        and _places(faces, mask.size)
+        and faces.shape[1:] == (4,)
+        and (interval.dtype.kind, interval.shape) == ("f", ())
+        and 0 < interval < np.inf
+        and (largest.dtype.kind, largest.shape) == ("f", (2,))
+        and (not with_nodes or _nodes(arrays["index"], mask.size))
+    )
+
+
+def _nodes(index: np.ndarray, size: int) -> bool:
+    """Whether `index` has a place for each node, or for none."""
+    return index.ndim == 1 and (
+        not index.size or _places(index, size) and len(np.unique(index)) == len(index)
+    )
+
+
+def _places(numbers: np.ndarray, size: int) -> bool:
+    """Whether `numbers` are numbers of grid nodes."""
+    return bool(
+        numbers.dtype.kind in "iu" and numbers.size and 0 <= numbers.min() <= numbers.max() < size
+    )
