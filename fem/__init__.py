@@ -12,7 +12,7 @@ from fem.lazy import exports
 __getattr__, __dir__, __all__ = exports(
     __name__,
     {
-        "fem.contact.push": "Contact Load",
+        "fem.contact.push": "Contact Load Push",
         "fem.contact.surface": "Surface",
         "fem.data.dataset": "open_dataset",
         "fem.data.scene": "Scene load_scene",

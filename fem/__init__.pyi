@@ -1,5 +1,6 @@
 from fem.contact.push import Contact as Contact
 from fem.contact.push import Load as Load
+from fem.contact.push import Push as Push
 from fem.contact.surface import Surface as Surface
 from fem.data.build import generate as generate
 from fem.data.dataset import open_dataset as open_dataset

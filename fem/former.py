@@ -26,7 +26,6 @@ FEM: Table = {
     "fem.dataset": {
         "fem.data.dataset": "FORMAT Dataset Sequence open_dataset",
         "fem.data.write": "write_dataset",
-        "fem.data.grid": "on_grid",
         "fem.measure.machine": "versions",
     },
     "fem.element": {
@@ -42,7 +41,8 @@ FEM: Table = {
         "fem.data.paraview": "write_sequence cell_volumes",
     },
     "fem.interaction": {
-        "fem.data.interaction": "simulate unfit drawn_contacts healthy_interaction",
+        "fem.data.draws": "drawn_contacts",
+        "fem.data.interaction": "simulate unfit healthy_interaction",
     },
     "fem.kernel": {
         "fem.solver.internal_force": "InternalForce",
@@ -65,9 +65,8 @@ FEM: Table = {
         "fem.mesh.node_grid": "node_grid turn",
     },
     "fem.scene": {
-        "fem.data.scene": (
-            "SPLITS MeshChoice SolverChoice Frames Interactions Health Scene load_scene"
-        ),
+        "fem.data.mesh_choice": "MeshChoice",
+        "fem.data.scene": "SPLITS SolverChoice Frames Interactions Health Scene load_scene",
     },
     "fem.solver": {
         "fem.solver.explicit": "Solver",
@@ -79,7 +78,11 @@ FEM: Table = {
         "fem.measure.machine": "processor",
     },
 }
-GONE: dict[str, str] = {}
+GONE = {
+    "fem.dataset.on_grid": (
+        "use force_on_grid and displacement_on_grid of fem.data.grid, one field each"
+    ),
+}
 
 _homes: dict[str, dict[str, tuple[str, str]]] = {}  # old module: {name: (new module, new name)}
 _gone: dict[str, str] = {}

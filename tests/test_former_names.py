@@ -28,6 +28,7 @@ def test_an_old_path_gives_what_the_new_one_gives_and_warns(old, name, now, new)
         found = getattr(module, name)
     assert place in [str(warning.message) for warning in said]
     assert found is getattr(importlib.import_module(new), now or name)
+    assert getattr(found, "__module__", new) == new  # where it is defined, not where it passes by
 
 
 @pytest.mark.parametrize("path", GONE)
