@@ -12,6 +12,7 @@ __getattr__, __dir__, __all__ = exports(
     {
         "unet_fem.evaluate": "evaluate",
         "unet_fem.runtime.surrogate": "Surrogate",
+        "unet_fem.steppers": "open_stepper",
         "unet_fem.train": "train",
         "unet_fem.training.settings": "Settings load_settings",
     },

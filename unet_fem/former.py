@@ -4,11 +4,12 @@ from fem.former import Table
 
 FORMER: Table = {
     "unet_fem.checkpoint": {
-        "unet_fem.training.checkpoint": "save_model load_model Checkpoint",
+        "unet_fem.networks.files": "save_model load_model",
+        "unet_fem.training.checkpoint": "Checkpoint",
         "fem.files": "write_text",
     },
     "unet_fem.config": {
-        "unet_fem.training.settings": "ModelChoice LossChoice TrainChoice Settings load_settings",
+        "unet_fem.training.settings": "LossChoice TrainChoice Settings load_settings",
     },
     "unet_fem.data": {
         "unet_fem.training.samples": "windows Samples load_samples scales batches",
@@ -20,10 +21,9 @@ FORMER: Table = {
         "unet_fem.training.extremes": "extreme_loads fem_response judge_extremes extremes_table",
     },
     "unet_fem.figures": {
-        "unet_fem.training.figures": (
-            "draw_all normalised_depth error_vs_depth bland_altman test_interactions "
-            "displacement_fields"
-        ),
+        "unet_fem.training.depth": "normalised_depth",
+        "unet_fem.training.figures": "draw_all error_vs_depth bland_altman test_interactions",
+        "unet_fem.training.section": "displacement_fields",
     },
     "unet_fem.latency": {
         "unet_fem.deployment.latency": (
@@ -59,17 +59,21 @@ FORMER: Table = {
         "unet_fem.runtime.replay": "replay report read_interaction",
     },
     "unet_fem.train": {
-        "unet_fem.training.run": "ensure_dataset prepare_folder",
         "unet_fem.training.fit": "build_model build_loss compile_model fit",
     },
     "unet_fem.study.frame_loop": {
         "fem.solver.frame_loop": "Competitor FrameLoop longest_step loop_mesh coarse_mesh",
     },
     "unet_fem.study.pod": {
-        "unet_fem.networks.pod": "predict linear reduced truncated",
+        "fem.online.regression": "Regression predict",
+        "unet_fem.networks.pod": "linear reduced truncated",
     },
     "unet_fem.study.statistics": {
         "unet_fem.study.measure.statistics": "relative_l2 interval difference intervals",
     },
 }
-GONE: dict[str, str] = {}
+GONE = {
+    "unet_fem.config.ModelChoice": (
+        "each kind of model has options of its own in unet_fem.networks.registry"
+    ),
+}
