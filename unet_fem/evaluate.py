@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fem.commands import command_line
 from fem.errors import InputError
+from fem.former import moved
 from fem.lazy import callable_module
 from unet_fem.training.run import model_file, open_run
 
@@ -28,6 +29,7 @@ def evaluate(folder: Path | str) -> dict:
 
 
 callable_module(__name__, evaluate)
+__getattr__ = moved("unet_fem.evaluate")
 
 
 @command_line

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from fem.commands import command_line
 from fem.errors import InputError
+from fem.former import moved
 from fem.lazy import callable_module
 from fem.locks import lock
 from unet_fem.networks.registry import network
@@ -39,6 +40,7 @@ def train(settings: Settings, resume: bool = False) -> dict:
 
 
 callable_module(__name__, train)
+__getattr__ = moved("unet_fem.train")
 
 
 @command_line

@@ -1,5 +1,6 @@
 """Constitutive laws of soft tissue."""
 
+from fem.former import moved
 from fem.lazy import exports
 
 __getattr__, __dir__, __all__ = exports(
@@ -12,3 +13,4 @@ __getattr__, __dir__, __all__ = exports(
         "fem.material.kinds": "KINDS",
     },
 )
+__getattr__ = moved(__name__, __getattr__)

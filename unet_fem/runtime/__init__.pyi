@@ -1,0 +1,4 @@
+from unet_fem.runtime.surrogate import VOLUME_BAND as VOLUME_BAND
+from unet_fem.runtime.surrogate import Surrogate as Surrogate
+from unet_fem.runtime.surrogate import force_size as force_size
+from unet_fem.runtime.surrogate import write_surrogate as write_surrogate
