@@ -9,7 +9,7 @@ from fem.contact.surface import surface_of
 from fem.contact.table import contact_table
 from fem.data.draws import MAX_ATTEMPTS, drawn_contacts, redrawn_contacts
 from fem.errors import InputError, SolverStopped
-from fem.solver.energy import EnergyLedger
+from fem.solver.energy import EnergyLedger, hourglass_share, kinetic_share, worst_imbalance
 from fem.solver.explicit import STANDSTILL
 
 
@@ -33,16 +33,16 @@ def simulate(scene, mesh, contacts, surface):
         force[frame] = load(times[frame]).T * 1e3
         displacement[frame] = solver.u.T * 1e3
         volume[frame] = mesh.volume(solver.u.T) * 1e9
-    rows = np.array(ledger.rows)
+    judged = ledger.rows + list(balances.rows.values())
     return {
         "force": force,
         "displacement": displacement,
         "volume": volume,
         "energy": balances.at_frames(),
-        "imbalance": ledger.worst_imbalance(),
+        "imbalance": worst_imbalance(judged),
         "min_J": ledger.smallest_J,
-        "kinetic_share": ledger.kinetic_share(),
-        "hourglass_share": float(rows[:, 3].max() / max(rows[:, 2].max(), 1e-300)),
+        "kinetic_share": kinetic_share(judged),
+        "hourglass_share": hourglass_share(judged),
         "steps": solver.steps,
     }
 
@@ -50,8 +50,8 @@ def simulate(scene, mesh, contacts, surface):
 class FrameBalances:
     """Observer that comes after an EnergyLedger: a balance for each of the frames at `times` (s).
 
-    The viscous work is known only where the viscous stress is brought up to date, so a balance is
-    taken at the last such steps before each frame.
+    A balance is taken at the last step before each frame in which the viscous stress is brought up
+    to date, since its work is known best there.
     """
 
     def __init__(self, ledger, times, material):
@@ -62,11 +62,9 @@ class FrameBalances:
     def __call__(self, solver):
         frame = int(np.searchsorted(self.times, solver.time))
         early = self.times[frame] - solver.time if frame < len(self.times) else np.inf
-        if (
-            not solver.steps
-            or solver.viscous_current
-            and early <= 1.01 * max(solver.dt, self.standstill)
-        ):
+        near = solver.viscous_current and early <= 1.01 * max(solver.dt, self.standstill)
+        # a frame shorter than the standstill has no such step: better its last than none
+        if not solver.steps or near or solver.last_step and frame not in self.rows:
             self.rows[frame] = self.ledger.balance(solver)
 
     def at_frames(self):

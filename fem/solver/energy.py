@@ -95,13 +95,23 @@ class EnergyLedger:
             )
 
     def worst_imbalance(self):
-        return max((row[-1] for row in self.rows), default=0.0)
+        return worst_imbalance(self.rows)
 
-    def kinetic_share(self):
-        """Mean kinetic energy over mean strain energy: below 0.05 the motion is slow enough for
-        mass scaling."""
-        rows = np.array(self.rows)
-        return float(rows[:, 1].mean() / max(rows[:, 2].mean(), 1e-300))
+
+def worst_imbalance(rows):
+    """The largest imbalance of some balances, NaN if one is not a number."""
+    return float(np.max([row[-1] for row in rows], initial=0.0))
+
+
+def kinetic_share(rows):
+    """Mean kinetic energy over mean strain energy of some balances: below 0.05 the motion is slow
+    enough for mass scaling."""
+    return float(np.sum([row[1] for row in rows]) / max(np.sum([row[2] for row in rows]), 1e-300))
+
+
+def hourglass_share(rows):
+    """Largest hourglass energy over largest strain energy of some balances."""
+    return float(max(row[3] for row in rows) / max(max(row[2] for row in rows), 1e-300))
 
 
 def kinetic_energy(mass, v):

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem import settings as config
 from fem.contact.push import Load
 from fem.contact.surface import Surface
 from fem.data.dataset import open_dataset
-from fem.data.interaction import contacts_of, drawn_contacts
+from fem.data.interaction import contacts_of, drawn_contacts, simulate, unfit
+from fem.data.scene import Scene
 from fem.errors import InputError
 
 
@@ -37,3 +39,18 @@ def test_forces_of_another_scene_have_no_contacts_here(tiny_dataset):
         InputError, match="no draw of the scene gives the forces of train interaction 1"
     ):
         contacts_of(other, "train", 1)
+
+
+@pytest.mark.parametrize("prony", [[], [[0.12, 330.0], [0.8, 11.0]]], ids=["elastic", "viscous"])
+def test_a_run_of_ten_steps_is_judged_by_its_frames(tiny, prony):
+    """The ledger's only row is that at rest; the frames show that the tissue has hardly followed
+    the load."""
+    short = {"material": {"prony": prony}, "frames": {"interval": 0.005}}
+    gentle = {"contact": {"force": [1e-5, 1e-4], "ramp": [0.05, 0.05], "onset": [0.0, 0.0]}}
+    scene = config.build(Scene, config.merge(config.merge(tiny, short), gentle))
+    mesh = scene.mesh.build()
+    surface = Surface(mesh)
+    result = simulate(scene, mesh, drawn_contacts(scene, surface, "train", 1, 0), surface)
+    assert result["steps"] <= 12 and result["energy"][-1].all(where=[1, 1, 0, 0, 1, 1, 1])
+    assert result["kinetic_share"] > 0.1 and result["imbalance"] > 0
+    assert unfit(scene, result) == "kinetic energy"
