@@ -48,5 +48,10 @@ class SolverStopped(RuntimeError):
         super().__init__(message)
         self.reason = Stop(reason)
 
+    @classmethod
+    def because(cls, reason: Stop, what: str) -> "SolverStopped":
+        """A stop for `reason`, whose message is `what` and the remedy of the reason."""
+        return cls(reason, f"{what}; {reason.remedy}")
+
     def __reduce__(self):  # so that it crosses from a worker process to its parent
         return type(self), (self.reason, *self.args)

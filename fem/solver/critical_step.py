@@ -3,11 +3,13 @@
 import numpy as np
 import scipy.sparse.linalg
 
-from fem.errors import InputError, SolverStopped
+from fem.errors import InputError, SolverStopped, Stop
 from fem.mesh import element
+from fem.mesh.hexmesh import HexMesh
+from fem.solver.internal_force import InternalForce
 
 
-def lumped_mass(mesh, density):
+def lumped_mass(mesh: HexMesh, density: float | np.ndarray) -> np.ndarray:
     """Row-sum lumped nodal mass (N,) in kg; density in kg/m3 is one number or one a cell (E,)."""
     detJ = np.linalg.det(element.jacobians(mesh.points, mesh.cells, element.GAUSS))  # (E, Q)
     shape = np.prod(1 + element.GAUSS[:, None] * element.CORNERS, axis=2) / 8  # (Q, 8)
@@ -16,15 +18,20 @@ def lumped_mass(mesh, density):
     )
 
 
-def thickness(mesh):
+def thickness(mesh: HexMesh) -> np.ndarray:
     """Smallest distance (E,) in m between opposite faces of each cell."""
-    inverse = np.linalg.inv(
-        element.jacobians(mesh.points, mesh.cells, element.CENTRE)[:, 0]
-    )  # (E, 3, 3) dxi_r/dX_i in columns
+    jacobian = element.jacobians(mesh.points, mesh.cells, element.CENTRE)[:, 0]  # (E, 3, 3)
+    inverse = np.linalg.inv(jacobian)  # dxi_r/dX_i in columns
     return 2 / np.linalg.norm(inverse, axis=1).max(axis=1)
 
 
-def critical_time_step(force, mass, fixed, u=None, tolerance=1e-3):
+def critical_time_step(
+    force: InternalForce,
+    mass: np.ndarray,
+    fixed: np.ndarray,
+    u: np.ndarray | None = None,
+    tolerance: float = 1e-3,
+) -> float:
     """2 / omega_max of the tangent stiffness at displacement u (3, N), in s, for a linear undamped
     leapfrog.
 
@@ -47,9 +54,9 @@ def critical_time_step(force, mass, fixed, u=None, tolerance=1e-3):
         step = (size * v).reshape(u.shape)
         product = (force(u + step) - force(u - step)).ravel()[free] * root / (2 * size)
         if not np.isfinite(product).all():
-            raise SolverStopped(
-                "no stable step",
-                "the stiffness is no longer finite, the state is beyond saving; lower the load",
+            raise SolverStopped.because(
+                Stop.NO_STABLE_STEP,
+                "the stiffness is no longer finite, the state is beyond saving",
             )
         return product
 
@@ -64,13 +71,13 @@ def critical_time_step(force, mass, fixed, u=None, tolerance=1e-3):
                     operator, 1, which="LA", v0=start, tol=tolerance, return_eigenvectors=False
                 )[0]
             except scipy.sparse.linalg.ArpackError as error:
-                raise SolverStopped(
-                    "no stable step",
-                    f"the stable step cannot be estimated ({error}); the state is beyond saving",
+                raise SolverStopped.because(
+                    Stop.NO_STABLE_STEP,
+                    f"the stable step cannot be estimated ({error}), the state is beyond saving",
                 ) from None
     if not (np.isfinite(largest) and largest > 0):
-        raise SolverStopped(
-            "no stable step",
-            f"the stiffness has no positive frequency (largest eigenvalue {largest:.3g}); lower the load",
+        raise SolverStopped.because(
+            Stop.NO_STABLE_STEP,
+            f"the stiffness has no positive frequency (largest eigenvalue {largest:.3g})",
         )
     return 2 / np.sqrt(largest)

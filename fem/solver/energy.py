@@ -1,118 +1,171 @@
-"""The energy balance of a run, kept by an observer of the time loop."""
+"""The energy balance of a run, kept by observers of its steps."""
 
 import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from fem.errors import SolverStopped
+from fem.errors import SolverStopped, Stop
+from fem.solver.record import Step
+from fem.solver.step_control import STANDSTILL
 
-COLUMNS = ("time", "kinetic", "strain", "hourglass", "viscous", "damping", "external", "imbalance")
 CHECK_EVERY = 128  # steps between balances
 HOURGLASS_SHARE = 0.05  # of strain energy, beyond which the ledger warns, once
 LIMIT = 0.10  # imbalance at which a run stops
 
 
-class EnergyLedger:
-    """Observer for `Solver.advance`: external work against kinetic, strain, hourglass, viscous and
-    damping energy, in J.
+class Balance(NamedTuple):
+    """Where the work has gone at `time` (s), energies in J.
 
     viscous is the work of the viscous stresses: minus the elastic energy that relaxation has spared
     so far. imbalance is relative to the largest of external work and stored energy so far (at least
     1e-6 mu V, the energy of a strain of about 0.1 %, so that the first faint touch does not count).
-    `rows` holds one balance about every 128 steps, in the order of COLUMNS. Warns once when
-    hourglass energy exceeds 5 % of strain energy. Raises SolverStopped("energy imbalance") beyond
-    10 %, there or in the last step of an `advance`.
     """
 
-    def __init__(self):
-        self.rows, self.scale, self.smallest_J = [], 0.0, 1.0
+    time: float
+    kinetic: float
+    strain: float
+    hourglass: float
+    viscous: float
+    damping: float
+    external: float
+    imbalance: float
+
+
+COLUMNS = Balance._fields
+
+
+def worst_imbalance(rows: Sequence[Balance]) -> float:
+    """The largest imbalance of some balances, NaN if one is not a number."""
+    return float(np.max([row.imbalance for row in rows], initial=0.0))
+
+
+def kinetic_share(rows: Sequence[Balance]) -> float:
+    """Mean kinetic energy over mean strain energy of some balances: below 0.05 the motion is slow
+    enough for mass scaling."""
+    kinetic, strain = sum(row.kinetic for row in rows), sum(row.strain for row in rows)
+    return float(kinetic / max(strain, 1e-300))
+
+
+def hourglass_share(rows: Sequence[Balance]) -> float:
+    """Largest hourglass energy over largest strain energy of some balances."""
+    hourglass, strain = max(row.hourglass for row in rows), max(row.strain for row in rows)
+    return float(hourglass / max(strain, 1e-300))
+
+
+class EnergyLedger:
+    """Observer of a solver's steps: external work against kinetic, strain, hourglass, viscous and
+    damping energy, in J.
+
+    `rows` holds one Balance about every 128 steps, `smallest_J` the smallest J of all steps. Warns
+    once when hourglass energy exceeds 5 % of strain energy. Raises SolverStopped(ENERGY_IMBALANCE)
+    beyond 10 %, there or in the last step of an `advance`.
+    """
+
+    def __init__(self) -> None:
+        self.rows: list[Balance] = []
+        self.scale, self.smallest_J = 0.0, 1.0
         self.external = self.damping = 0.0
         self._ahead = self._loss = self._dt = 0.0
         self._next, self._warned = 0, False
 
-    def __call__(self, solver):
-        # velocity at `time`, second-order; the first kick is half a step long, and v_old is then
-        # that velocity itself
-        mean = 0.5 * (solver.v_old + solver.v) if solver.steps else solver.v_old
+    def __call__(self, step: Step) -> None:
+        """Count the work of the step."""
         # the mean of the loads at both ends of a step times its displacement: exact for a dead load
-        self.external += self._ahead + 0.5 * self._dt * np.vdot(solver.load, solver.v_old)
-        self._ahead = 0.5 * solver.dt * np.vdot(solver.load, solver.v)
-        if solver.damping:
-            loss = 2 * solver.damping * kinetic_energy(solver.mass, mean)
+        self.external += self._ahead + 0.5 * self._dt * np.vdot(step.load, step.v_before)
+        self._ahead = 0.5 * step.dt * np.vdot(step.load, step.v_after)
+        if step.body.damping:
+            loss = 2 * step.body.damping * step.kinetic_energy()
             self.damping += 0.5 * self._dt * (self._loss + loss)
             self._loss = loss
-        self._dt = solver.dt
-        self.smallest_J = min(self.smallest_J, solver.force.min_J)
-        if solver.viscous_current and solver.steps >= self._next:
-            self._next = solver.steps + CHECK_EVERY
-            self._balance(solver)
-        elif solver.last_step:
-            self._judge(self.balance(solver))
+        self._dt = step.dt
+        self.smallest_J = min(self.smallest_J, step.min_J)
+        if step.viscous_current and step.steps >= self._next:
+            self._next = step.steps + CHECK_EVERY
+            row = self.balance(step)
+            self.scale = self._scale(step, row.kinetic + row.strain)
+            self.rows.append(row)
+            self._judge(row)
+            self._warn(row)
+        elif step.last:
+            self._judge(self.balance(step))
 
-    def balance(self, solver):
-        """The balance of the step just observed, in the order of COLUMNS; at any step."""
-        mean = 0.5 * (solver.v_old + solver.v) if solver.steps else solver.v_old
-        strain, hourglass = solver.tangent.energies(solver.u)
-        kinetic, viscous = kinetic_energy(solver.mass, mean), solver.force.viscous_energy(solver.u)
+    def balance(self, step: Step) -> Balance:
+        """The balance of the step just observed; at any step."""
+        kinetic, strain, hourglass, viscous = step.energies()
         stored = kinetic + strain + hourglass + viscous + self.damping
-        scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
-        return (
-            solver.time,
+        imbalance = abs(self.external - stored) / self._scale(step, kinetic + strain)
+        return Balance(
+            step.time,
             kinetic,
             strain,
             hourglass,
             viscous,
             self.damping,
             self.external,
-            abs(self.external - stored) / scale,
+            imbalance,
         )
 
-    def _balance(self, solver):
-        row = self.balance(solver)
-        _, kinetic, strain, hourglass, *_ = row
-        self.scale = max(self.scale, solver.negligible_energy, abs(self.external), kinetic + strain)
-        self.rows.append(row)
-        self._judge(row)
-        if (
-            hourglass > HOURGLASS_SHARE * strain
-            and hourglass > 0.01 * self.scale
-            and not self._warned
-        ):
-            self._warned = True
-            warnings.warn(
-                f"hourglass energy is {100 * hourglass / strain:.0f} % of strain energy at {solver.time:.4g} s (5 % is usual): "
-                "the reduced element bends too coarsely here; refine the mesh or take element = 'full' or 'mean_dilatation'",
-                RuntimeWarning,
-                stacklevel=2,
-            )
-
-    def _judge(self, row):
-        time, *_, imbalance = row
-        if not imbalance <= LIMIT:
-            raise SolverStopped(
-                "energy imbalance",
-                f"energy is out of balance by {100 * imbalance:.0f} % at {time:.4g} s; lower the step (solver.safety) or the load",
-            )
-
-    def worst_imbalance(self):
+    def worst_imbalance(self) -> float:
+        """The largest imbalance of all rows."""
         return worst_imbalance(self.rows)
 
+    def _scale(self, step, stored):
+        return max(self.scale, step.body.negligible_energy, abs(self.external), stored)
 
-def worst_imbalance(rows):
-    """The largest imbalance of some balances, NaN if one is not a number."""
-    return float(np.max([row[-1] for row in rows], initial=0.0))
+    def _warn(self, row):
+        small = HOURGLASS_SHARE * row.strain, 0.01 * self.scale
+        if self._warned or not row.hourglass > max(small):
+            return
+        self._warned = True
+        warnings.warn(
+            f"hourglass energy is {100 * row.hourglass / row.strain:.0f} % of strain energy"
+            f" at {row.time:.4g} s (5 % is usual): the reduced element bends too coarsely here;"
+            " refine the mesh or take element = 'full' or 'mean_dilatation'",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+    def _judge(self, row):
+        if not row.imbalance <= LIMIT:
+            raise SolverStopped.because(
+                Stop.ENERGY_IMBALANCE,
+                f"energy is out of balance by {100 * row.imbalance:.0f} % at {row.time:.4g} s",
+            )
 
 
-def kinetic_share(rows):
-    """Mean kinetic energy over mean strain energy of some balances: below 0.05 the motion is slow
-    enough for mass scaling."""
-    return float(np.sum([row[1] for row in rows]) / max(np.sum([row[2] for row in rows]), 1e-300))
+class FrameBalances:
+    """Observer that comes after an EnergyLedger: a balance for each of the frames at `times` (s).
 
+    A balance is taken at the last step before each frame in which the viscous stress is brought up
+    to date, since its work is known best there. prony: of the material.
+    """
 
-def hourglass_share(rows):
-    """Largest hourglass energy over largest strain energy of some balances."""
-    return float(max(row[3] for row in rows) / max(max(row[2] for row in rows), 1e-300))
+    def __init__(
+        self, ledger: EnergyLedger, times: np.ndarray, prony: Sequence[tuple[float, float]]
+    ) -> None:
+        self.ledger, self.times = ledger, times
+        self._standstill = STANDSTILL * min((tau for _, tau in prony), default=0.0)
+        self._found: dict[int, Balance] = {}
 
+    def __call__(self, step: Step) -> None:
+        """Take the balance of the step if it is the last such before its frame."""
+        frame = int(np.searchsorted(self.times, step.time))
+        early = self.times[frame] - step.time if frame < len(self.times) else np.inf
+        near = step.viscous_current and early <= 1.01 * max(step.dt, self._standstill)
+        # a frame shorter than the standstill has no such step: better its last than none
+        if not step.steps or near or step.last and frame not in self._found:
+            self._found[frame] = self.ledger.balance(step)
 
-def kinetic_energy(mass, v):
-    return 0.5 * float(np.einsum("n,cn,cn->", mass, v, v))
+    @property
+    def rows(self) -> list[Balance]:
+        """The balances, in the order of time."""
+        return [self._found[frame] for frame in sorted(self._found)]
+
+    def at_frames(self) -> np.ndarray:
+        """(frames, 7), the columns of Balance after time, interpolated to the frames."""
+        rows = np.array(self.rows)
+        return np.stack(
+            [np.interp(self.times, rows[:, 0], column) for column in rows[:, 1:].T], axis=1
+        )

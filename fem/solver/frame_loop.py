@@ -2,13 +2,22 @@
 answers it."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+import scipy.sparse
 
 from fem.errors import InputError
+from fem.material.base import Hyperelastic
 from fem.mesh.embedding import Embedding
+from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import from_voxels
+from fem.online.grid import MM, MN, NodeGrid
+from fem.online.stepper import State, check_interval
 from fem.solver.explicit import Solver
+from fem.solver.leapfrog import Leapfrog
+from fem.solver.leapfrog import State as SolverState
+from fem.solver.step_control import Pace, StepControl
 
 # share of the critical step at rest: under the hardest pushes of the tumour's data it falls by 23 %
 SAFETY = 0.75
@@ -16,7 +25,7 @@ UPDATE = 11  # steps of a loop between updates of the viscous stress, or more wh
 
 
 @dataclass(frozen=True)
-class Competitor:
+class LoopSettings:
     """Settings of one loop.
 
     element, hourglass_stiffness: see fem.solver.internal_force.InternalForce; coarse: on half as
@@ -36,121 +45,165 @@ class Competitor:
     damping: float = 0.1
     rise: float = 1.0
 
-    @property
-    def name(self):
-        return f"FEM {self.element}{', coarse' if self.coarse else ''}, {self.steps} steps / {1e3 * self.frame:g} ms"
+    def __post_init__(self) -> None:
+        if not 0 < self.frame < np.inf:
+            raise InputError(f"frame = {self.frame} s must be positive and finite")
+        if self.steps < 1:
+            raise InputError(f"steps = {self.steps} a frame must be at least 1")
+        if not 0 <= self.damping < np.inf:
+            raise InputError(f"damping = {self.damping} must not be negative")
+        if not 0 <= self.rise <= 1:
+            raise InputError(f"rise = {self.rise} must be a share of the frame, 0 to 1")
 
 
-class LoopSolver(Solver):
-    """A Solver whose stable step is estimated at rest alone: in a loop there is no time for it, and
-    SAFETY leaves room for what a load changes.
+class LoopControl(StepControl):
+    """A step control that estimates the stable step at rest alone: in a loop there is no time for
+    it, and SAFETY leaves room for what a load changes.
 
-    A step that is too long after all ends in SolverStopped, as "diverged" or "crushed cell". The
-    viscous stress, which a few steps hardly change, is brought up to date once in UPDATE steps at
-    most, for that costs as much as three steps.
+    A step that is too long after all ends in SolverStopped, as DIVERGED or CRUSHED_CELL. The
+    viscous stress, which a few steps hardly change, is brought up to date once in UPDATE of the
+    `steps` of a frame at most, for that costs as much as three steps.
     """
 
-    def __init__(self, *arguments, steps, **options):
+    def __init__(self, leapfrog: Leapfrog, safety: float, steps: int) -> None:
+        super().__init__(leapfrog, safety)
         self.frame_steps = steps
-        super().__init__(*arguments, **options)
 
-    def _viscous_stride(self, dt):
-        return max(super()._viscous_stride(dt), min(UPDATE, self.frame_steps))
+    def stride(self, dt: float) -> int:
+        """Steps of dt seconds for which the viscous stress may stand still."""
+        return max(super().stride(dt), min(UPDATE, self.frame_steps))
 
-    def estimate_step(self):
-        if self.steps == 0:
-            super().estimate_step()
-        self._state_at_estimate = self.force.min_J, self.force.stiffening
+    def refresh(self, pace: Pace, state: SolverState) -> None:
+        """Leave the critical step as it is, and compare with the present state from now on."""
+        force = self.leapfrog.force
+        if self.is_stale(pace):
+            pace.estimated_J, pace.estimated_stiffening = force.min_J, force.stiffening
 
 
 class FrameLoop:
-    """One competitor, warm-started from frame to frame: loop(force (nx, ny, nz, 3) mN) is the
-    displacement (nx, ny, nz, 3) mm.
+    """The FEM as a fem.online.stepper.Stepper, warm-started from frame to frame.
+
+    mesh: a HexMesh in m; without a node grid it takes forces (N, 3) alone, and no coarse mesh
+    interval: s, the frame of the settings
 
     The frame's steps are of equal length. Where that is beyond the stable step the mass is scaled
-    up, just enough. Attributes: solver, mass_scaling, and damping_rate in 1/s. Raises SolverStopped
-    where the FEM cannot go on.
+    up, just enough. Attributes: solver, mass_scaling, and damping_rate in 1/s. `step` raises
+    SolverStopped where the FEM cannot go on.
     """
 
-    def __init__(self, dataset, competitor):
-        self.competitor = competitor
-        own = dataset.fem_mesh
-        self.index, self.grid, self.fixed = own.grid_index, own.grid_shape, own.fixed
-        mesh, self.transfer = loop_mesh(dataset, competitor)
-        longest = longest_step(dataset, competitor)
-        self.mass_scaling = max(1.0, (competitor.frame / competitor.steps / longest) ** 2)
-        self.damping_rate = competitor.damping / (longest * np.sqrt(self.mass_scaling))
-        options = {
-            "damping": self.damping_rate,
-            "mass_scaling": self.mass_scaling,
-            "steps": competitor.steps,
-        }
-        self.solver = _solver(LoopSolver, mesh, dataset, competitor, **options)
-        self.load = np.zeros((3, mesh.n_nodes))
-
-    def __call__(self, force):
-        old, new = self.load, self._to_mesh(force)
-        change, start, rise = (
-            new - old,
-            self.solver.time,
-            self.competitor.rise * self.competitor.frame,
+    def __init__(self, mesh: HexMesh, material: Hyperelastic, settings: LoopSettings) -> None:
+        self.mesh, self.settings, self.interval = mesh, settings, settings.frame
+        self.grid = None if mesh.grid_shape is None else NodeGrid(mesh.grid_shape, mesh.grid_index)
+        simulated, self.transfer = loop_mesh(mesh, settings)
+        longest = longest_step(mesh, material, settings)
+        self.mass_scaling = max(1.0, (settings.frame / settings.steps / longest) ** 2)
+        self.damping_rate = settings.damping / (longest * np.sqrt(self.mass_scaling))
+        self.solver = _solver(
+            simulated,
+            material,
+            settings,
+            damping=self.damping_rate,
+            mass_scaling=self.mass_scaling,
+            control=partial(LoopControl, steps=settings.steps),
         )
+        self.load = np.zeros((3, simulated.n_nodes))  # N, the last force
+        self._rest = self.state()
+
+    def reset(self) -> None:
+        """Back to rest."""
+        self.restore(self._rest)
+
+    def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
+        """Displacement in mm, float32, one frame after the call before, under `force` in mN; both
+        (N, 3) or on the node grid (nx, ny, nz, 3).
+
+        Raises InputError for another shape or dt and values that are not finite, SolverStopped
+        where the FEM stops.
+        """
+        check_interval(self.interval, dt)
+        nodal = self._is_nodal(force)
+        old, new = self.load, self._to_mesh(force if nodal else self.grid.from_grid(force))
+        change, start = new - old, self.solver.time
+        rise = self.settings.rise * self.settings.frame
         self.load = new
         self.solver.advance(
-            self.competitor.frame,
+            self.settings.frame,
             lambda t: old + min(1.0, (t - start) / rise) * change if rise else new,
-            steps=self.competitor.steps,
+            steps=self.settings.steps,
         )
-        return self._to_grid(self.solver.u)
+        u = self._from_mesh(self.solver.u)
+        return u if nodal else self.grid.to_grid(u)
+
+    def state(self) -> State:
+        """A copy of all that the next answer depends on besides the next force."""
+        return self.solver.snapshot() | {"load": self.load.copy()}
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave. Raises InputError for the state of another loop."""
+        if np.shape(state.get("load")) != self.load.shape:
+            raise InputError(
+                "the state is not of this loop; restore one of the same mesh and settings"
+            )
+        self.solver.restore({name: array for name, array in state.items() if name != "load"})
+        self.load = np.array(state["load"])
+
+    def _is_nodal(self, force):
+        if self.grid is not None:
+            return self.grid.is_nodal(force)
+        if force.shape != (self.mesh.n_nodes, 3) or not np.isfinite(force).all():
+            raise InputError(
+                f"the force has shape {force.shape}; give finite mN of shape"
+                f" {(self.mesh.n_nodes, 3)}, one force a node"
+            )
+        return True
 
     def _to_mesh(self, force):
-        nodal = force.reshape(-1, 3)[self.index].T * 1e-3  # (3, N) N
+        nodal = force.T * (1 / MN)  # (3, N) N
         return nodal if self.transfer is None else (self.transfer.T @ nodal.T).T
 
-    def _to_grid(self, u):
+    def _from_mesh(self, u):
         if self.transfer is not None:
-            u = np.where(self.fixed, 0.0, (self.transfer @ u.T).T)
-        out = np.zeros((int(np.prod(self.grid)), 3), np.float32)
-        out[self.index] = u.T * 1e3
-        return out.reshape(*self.grid, 3)
+            u = np.where(self.mesh.fixed, 0.0, (self.transfer @ u.T).T)
+        return (u.T * MM).astype(np.float32)
 
 
-def longest_step(dataset, competitor):
+def longest_step(mesh: HexMesh, material: Hyperelastic, settings: LoopSettings) -> float:
     """The longest step in s that this element takes at rest with the true mass."""
-    return (
-        SAFETY
-        * _solver(Solver, loop_mesh(dataset, competitor)[0], dataset, competitor).critical_step
+    return SAFETY * _solver(loop_mesh(mesh, settings)[0], material, settings).critical_step
+
+
+def _solver(mesh, material, settings, **options):
+    return Solver(
+        mesh,
+        material,
+        settings.element,
+        "float32",
+        settings.hourglass_stiffness,
+        **options,
     )
 
 
-def _solver(make, mesh, dataset, competitor, **options):
-    choice = {
-        "element": competitor.element,
-        "hourglass_stiffness": competitor.hourglass_stiffness,
-        "precision": "float32",
-    }
-    return make(mesh, dataset.scene.material, **choice, **options)
+def loop_mesh(
+    mesh: HexMesh, settings: LoopSettings
+) -> tuple[HexMesh, scipy.sparse.csr_matrix | None]:
+    """(HexMesh, A or None) that a loop simulates, see `coarse_mesh`."""
+    return coarse_mesh(mesh) if settings.coarse else (mesh, None)
 
 
-def loop_mesh(dataset, competitor):
-    """(HexMesh, A or None) that a competitor simulates, see `coarse_mesh`. Raises InputError if the
-    scene's mesh has no node grid."""
-    mesh = dataset.fem_mesh
-    if mesh.grid_shape is None:
-        raise InputError(
-            "the FEM loop takes forces on the node grid, and this scene's mesh does not lie on it; use mesh.kind = 'tumour' or 'box'"
-        )
-    return coarse_mesh(mesh) if competitor.coarse else (mesh, None)
-
-
-def coarse_mesh(mesh):
+def coarse_mesh(mesh: HexMesh) -> tuple[HexMesh, scipy.sparse.csr_matrix]:
     """(HexMesh, A): a tumour or box with half as many cells along each axis, and displacement from
     its nodes to those of `mesh`, (N, n) sparse.
 
     An odd number of cells rounds to even, the cells then are no cubes. Of the coarse grid those
     cells are kept that are fullest and together have the volume of `mesh`; A is trilinear
-    interpolation, so that forces go the other way by its transpose (see fem.embedding).
+    interpolation, so that forces go the other way by its transpose (see fem.mesh.embedding). Raises
+    InputError for a mesh that lies on no node grid.
     """
+    if mesh.grid_shape is None:
+        raise InputError(
+            "a coarse mesh is made on the node grid, and this mesh does not lie on one;"
+            " set coarse = False or take mesh.kind = 'tumour' or 'box'"
+        )
     shape = tuple(max(1, round((n - 1) / 2)) + 1 for n in mesh.grid_shape)
     embedding = Embedding(mesh, shape)
     around = embedding.grid_mesh

@@ -7,7 +7,8 @@ import numpy as np
 from fem.contact.push import Contact, Load
 from fem.contact.surface import Surface
 from fem.data.dataset import Dataset
-from fem.errors import SolverStopped
+from fem.data.interaction import simulate_frames
+from fem.errors import SolverStopped, Stop
 from fem.solver.energy import EnergyLedger
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.registry import Model
@@ -78,17 +79,15 @@ def fem_response(dataset, load):
     Raises SolverStopped where the FEM stops, or crushes a cell more than the scene allows in its
     data.
     """
-    scene, mesh = dataset.scene, dataset.fem_mesh
-    solver, ledger = scene.build_solver(mesh), EnergyLedger()
+    scene, ledger = dataset.scene, EnergyLedger()
     times = np.arange(FRAMES) * scene.frames.interval
-    force, displacement = (np.zeros((FRAMES, mesh.n_nodes, 3), np.float32) for _ in range(2))
-    volume = np.empty(FRAMES)
-    for frame, time in enumerate(times):
-        solver.advance(time - solver.time, load, [ledger])
-        force[frame], displacement[frame] = load(time).T * 1e3, solver.u.T * 1e3
-        volume[frame] = mesh.volume(solver.u.T) * 1e9
+    solver = scene.build_solver(dataset.fem_mesh)
+    frames = list(simulate_frames(solver, load, times, [ledger]))
     if ledger.smallest_J < scene.health.min_J:
-        raise SolverStopped("crushed cell", f"a cell is crushed to J = {ledger.smallest_J:.3g}")
+        raise SolverStopped.because(
+            Stop.CRUSHED_CELL, f"a cell is crushed to J = {ledger.smallest_J:.3g}"
+        )
+    force, displacement, volume = (np.array(part) for part in zip(*frames, strict=True))
     return *dataset.on_grid(force, displacement), volume
 
 

@@ -195,7 +195,7 @@ def test_standing_still_is_second_order(monkeypatch):
     steps, duration, runs = 640, 0.02, []
     for stride in (1, 8, 16):
         monkeypatch.setattr(
-            "fem.solver.explicit.STANDSTILL", (stride + 0.5) * duration / steps / 0.01
+            "fem.solver.step_control.STANDSTILL", (stride + 0.5) * duration / steps / 0.01
         )
         solver = Solver(mesh, material)
         solver.advance(duration, lambda t: np.sin(50 * t) * shape, steps=steps)
@@ -213,5 +213,5 @@ def test_relaxation_only_damps(tau):
         solver.mesh.fixed, 0, np.random.default_rng(0).normal(scale=1e-9, size=solver.v.shape)
     )
     speed = np.linalg.norm(solver.v)
-    solver.advance(500 * 0.98 * solver.critical_step, lambda t: np.zeros((3, 1)), steps=500)
+    solver.advance(500 * 0.98 * solver.critical_step, lambda t: np.zeros_like(solver.u), steps=500)
     assert np.linalg.norm(solver.v) < speed

@@ -12,7 +12,7 @@ from fem.data.dataset import open_dataset
 from fem.errors import InputError, SolverStopped
 from fem.files import save_arrays
 from fem.mesh.shapes import box, tumour
-from fem.solver.frame_loop import SAFETY, Competitor, FrameLoop, coarse_mesh, longest_step
+from fem.solver.frame_loop import SAFETY, LoopSettings, coarse_mesh, longest_step
 from unet_fem.study.measure import fixed_latency, reference
 from unet_fem.study.settings import Fem
 
@@ -101,7 +101,7 @@ def test_frames_must_divide_the_interval_of_the_dataset(dataset):
 
 
 def test_error_falls_to_that_of_the_ramped_load_as_steps_grow(study, dataset, truth):
-    competitor = lambda steps: Competitor("full", False, FRAME, steps, damping=0.1)  # noqa: E731
+    competitor = lambda steps: LoopSettings("full", False, FRAME, steps, damping=0.1)  # noqa: E731
     verdicts = [
         fixed_latency.judge(study, dataset, competitor(steps), "test", 1) for steps in (5, 20, 120)
     ]
@@ -113,24 +113,24 @@ def test_error_falls_to_that_of_the_ramped_load_as_steps_grow(study, dataset, tr
 
 
 def test_mass_scaling_makes_the_steps_of_a_frame_just_stable(dataset):
-    competitor = Competitor("reduced", False, FRAME, 5)
-    loop = FrameLoop(dataset, competitor)
+    competitor = LoopSettings("reduced", False, FRAME, 5)
+    loop = fixed_latency.frame_loop(dataset, competitor)
     assert np.isclose(SAFETY * loop.solver.critical_step, FRAME / 5, rtol=1e-2)
-    assert np.isclose(np.sqrt(loop.mass_scaling), FRAME / 5 / longest_step(dataset, competitor))
+    assert np.isclose(np.sqrt(loop.mass_scaling), FRAME / 5 / longest_step(dataset.fem_mesh, dataset.scene.material, competitor))
 
 
 def test_a_frame_action_is_the_loop_that_was_judged(study, dataset, truth):
-    competitor = Competitor("reduced", True, FRAME, 5)
+    competitor = LoopSettings("reduced", True, FRAME, 5)
     verdict = fixed_latency.judge(study, dataset, competitor, "test", 1)
-    loop, answer = FrameLoop(dataset, competitor), np.zeros_like(truth)
+    loop, answer = fixed_latency.frame_loop(dataset, competitor), np.zeros_like(truth)
     for k, force in enumerate(fixed_latency.frame_forces(dataset, "test", 1, FRAME), 1):
-        answer[-(-k // 4)] = loop(force)  # the last of every four stays
+        answer[-(-k // 4)] = loop.step(force)  # the last of every four stays
     assert reference.sums_of_squares(answer, truth, dataset) == verdict["sums"]
 
 
 def test_a_player_goes_on_for_ever_and_does_not_creep_from_round_to_round(dataset):
     loop, forces = (
-        FrameLoop(dataset, Competitor("full", False, FRAME, 5)),
+        fixed_latency.frame_loop(dataset, LoopSettings("full", False, FRAME, 5)),
         fixed_latency.frame_forces(dataset, "test", 1, FRAME),
     )
     answer, peaks = fixed_latency.player(loop, forces), []
@@ -146,7 +146,7 @@ def test_a_player_goes_on_for_ever_and_does_not_creep_from_round_to_round(datase
 def test_a_run_that_stops_is_named_and_is_no_number(study, dataset, truth, monkeypatch):
     forces = 40 * fixed_latency.frame_forces(dataset, "test", 1, FRAME)
     monkeypatch.setattr(fixed_latency, "frame_forces", lambda *_: forces)
-    competitor = Competitor("full", False, FRAME, 7)
+    competitor = LoopSettings("full", False, FRAME, 7)
     verdict = fixed_latency.judge(study, dataset, competitor, "test", 1)
     assert verdict["stopped"] in ("crushed cell", "diverged") and "sums" not in verdict
     point = fixed_latency._point(competitor, {1: verdict}, study, dataset)
@@ -202,12 +202,12 @@ def test_every_tuned_competitor_is_judged_and_has_an_action(study, dataset, trut
             point["test"] == point["hard"] == pytest.approx(np.sqrt(np.divide(*point["sums"]["1"])))
         )
     begin = fixed_latency._score(
-        study, dataset, Competitor("full", False, FRAME, 5, damping=0.1, rise=0.5)
+        study, dataset, LoopSettings("full", False, FRAME, 5, damping=0.1, rise=0.5)
     )
     end = fixed_latency._score(
         study,
         dataset,
-        Competitor("full", False, FRAME, 5, damping=points[0]["damping"], rise=points[0]["rise"]),
+        LoopSettings("full", False, FRAME, 5, damping=points[0]["damping"], rise=points[0]["rise"]),
     )
     assert end <= begin  # tuning never ends worse than it began
     actions = fixed_latency.frame_actions(study, dataset)

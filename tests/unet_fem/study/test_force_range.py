@@ -11,8 +11,9 @@ import pytest
 
 from fem.data.dataset import open_dataset
 from fem.errors import SolverStopped
-from fem.solver.frame_loop import Competitor
+from fem.solver.frame_loop import LoopSettings
 from unet_fem.study.measure import force_range
+from unet_fem.study.measure.fixed_latency import loop_name
 from unet_fem.study.measure.force_range import (
     frames,
     run,
@@ -28,7 +29,7 @@ def dataset(tiny_dataset):
     return open_dataset(tiny_dataset)
 
 
-LOOP = Competitor("reduced", coarse=False, frame=0.01, steps=44)
+LOOP = LoopSettings("reduced", coarse=False, frame=0.01, steps=44)
 
 
 def arrays(simulate, *arguments):
@@ -45,7 +46,7 @@ def test_at_factor_one_the_truth_is_the_dataset_and_the_others_are_near(dataset)
     np.testing.assert_allclose(found["truth"], own, rtol=1e-5, atol=1e-7)
     for name, near in (
         ("elastic FEM", 0.3),
-        (LOOP.name, 0.6),
+        (loop_name(LOOP), 0.6),
     ):  # two reduced cells are a coarse tissue
         assert (
             found[f"{name}:stopped"] == ""
@@ -57,7 +58,7 @@ def test_tenth_of_the_force_moves_about_a_tenth(dataset):
     own = dataset.read("test")["displacement"][0]
     for found in (
         arrays(simulate_offline, dataset, 1, 0.1)["truth"],
-        arrays(simulate_loop, dataset, 1, 0.1, LOOP)[LOOP.name],
+        arrays(simulate_loop, dataset, 1, 0.1, LOOP)[loop_name(LOOP)],
     ):
         assert 0.05 < np.linalg.norm(found) / np.linalg.norm(own) < 0.15
 
@@ -181,7 +182,7 @@ def test_simulated_runs_are_kept(dataset, tmp_path, monkeypatch):
     )
     ((which, (force, answers, reasons)),) = simulated(study, dataset, LOOP)
     np.testing.assert_array_equal(force, 0.5 * dataset.read("test")["force"][0])
-    assert which == (1, 0.5) and set(answers) == set(reasons) == {"truth", "elastic FEM", LOOP.name}
+    assert which == (1, 0.5) and set(answers) == set(reasons) == {"truth", "elastic FEM", loop_name(LOOP)}
     monkeypatch.setattr(
         force_range, "on_all_cores", lambda *arguments: pytest.fail("simulated again")
     )

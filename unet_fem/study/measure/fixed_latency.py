@@ -18,7 +18,7 @@ from fem.contact.push import Load
 from fem.contact.surface import Surface
 from fem.data.interaction import contacts_of
 from fem.errors import InputError, SolverStopped
-from fem.solver.frame_loop import Competitor, FrameLoop, longest_step
+from fem.solver.frame_loop import FrameLoop, LoopSettings, longest_step
 from fem.workers import on_all_cores
 from unet_fem.study.measure.reference import (
     hard_numbers,
@@ -38,7 +38,7 @@ def run(study):
     """{"points": [...], "numbers", "tuned_on": validation numbers, "elements": see `tuned`}; a
     point is a competitor and its errors.
 
-    A point has its settings (see frame_loop.Competitor), cells, mass_scaling, damping_rate in 1/s;
+    A point has its settings (see frame_loop.LoopSettings), cells, mass_scaling, damping_rate in 1/s;
     test and hard: relative L2 over the interactions that it ended, against the reference; sums:
     {"number": [error, truth] mm2} of these; stopped: [{"number", "reason", "time" s}] of the
     others.
@@ -78,10 +78,21 @@ def frame_actions(study, dataset):
     forces = {frame: frame_forces(dataset, "test", number, frame) for frame in study.fem.frames}
     for competitor in tuned(study, dataset)[0]:
         if "sums" in judge(study, dataset, competitor, "test", number):
-            actions[competitor.name] = player(
-                FrameLoop(dataset, competitor), forces[competitor.frame]
+            actions[loop_name(competitor)] = player(
+                frame_loop(dataset, competitor), forces[competitor.frame]
             )
     return actions
+
+
+def frame_loop(dataset, settings):
+    """The FrameLoop of a dataset's mesh and material."""
+    return FrameLoop(dataset.fem_mesh, dataset.scene.material, settings)
+
+
+def loop_name(settings):
+    """How tables and figures name the LoopSettings."""
+    coarse = ", coarse" if settings.coarse else ""
+    return f"FEM {settings.element}{coarse}, {settings.steps} steps / {1e3 * settings.frame:g} ms"
 
 
 def player(loop, forces):
@@ -96,7 +107,7 @@ def player(loop, forces):
         ):
             loop.solver.force.forget()
             force = next(frames)
-        loop(force)
+        loop.step(force)
 
     return answer_one_frame
 
@@ -146,7 +157,7 @@ def judge(study, dataset, competitor, split, number):
         references(study, dataset, split, [number])[number],
         frames_between(dataset.scene, competitor.frame),
     )
-    loop, answer = FrameLoop(dataset, competitor), np.zeros_like(truth)
+    loop, answer = frame_loop(dataset, competitor), np.zeros_like(truth)
     verdict = {
         "mass_scaling": loop.mass_scaling,
         "damping_rate": loop.damping_rate,
@@ -154,7 +165,7 @@ def judge(study, dataset, competitor, split, number):
     }
     try:
         for k, force in enumerate(frame_forces(dataset, split, number, competitor.frame), 1):
-            displacement = loop(force)
+            displacement = loop.step(force)
             if k % every == 0:
                 answer[k // every] = displacement
         verdict["sums"] = sums_of_squares(answer, truth, dataset)
@@ -168,7 +179,7 @@ def judge(study, dataset, competitor, split, number):
 
 
 def tuned(study, dataset):
-    """([Competitor], {element: {hourglass stiffness: relative L2 on validation, None if one
+    """([LoopSettings], {element: {hourglass stiffness: relative L2 on validation, None if one
     stopped}}): every element, frame and number of steps."""
     _tuned_on(study, dataset)
     elements, errors = _elements(study, dataset)
@@ -181,7 +192,7 @@ def tuned(study, dataset):
 
 
 def _elements(study, dataset):
-    """([Competitor], errors): the full and reduced element, and the better of both on the coarse
+    """([LoopSettings], errors): the full and reduced element, and the better of both on the coarse
     mesh, by their error where steps are plenty."""
     plenty = {
         "frame": max(study.fem.frames),
@@ -192,9 +203,9 @@ def _elements(study, dataset):
     meshes = (
         (False,) if dataset.scene.mesh.kind == "file" else (False, True)
     )  # a curved mesh has no coarse one here
-    choices = [Competitor("full", coarse, **plenty) for coarse in meshes]
+    choices = [LoopSettings("full", coarse, **plenty) for coarse in meshes]
     choices += [
-        Competitor("reduced", coarse, hourglass_stiffness=h, **plenty)
+        LoopSettings("reduced", coarse, hourglass_stiffness=h, **plenty)
         for coarse in meshes
         for h in HOURGLASS
     ]
@@ -224,7 +235,7 @@ def _chain(study, dataset, element, frame):
     """Competitors of one element and frame, from few steps to the first number that needs hardly
     any mass scaling: more of them would only cost."""
     found, start = [], replace(element, frame=frame, damping=0.1, rise=0.5)
-    longest = longest_step(dataset, element)
+    longest = longest_step(dataset.fem_mesh, dataset.scene.material, element)
     for steps in sorted(study.fem.steps):
         start = replace(start, steps=steps)
         if (
@@ -292,7 +303,7 @@ def _point(competitor, verdicts, study, dataset):
     ]
     first = next(iter(verdicts.values()))
     return (
-        {"name": competitor.name}
+        {"name": loop_name(competitor)}
         | asdict(competitor)
         | {name: first[name] for name in ("cells", "mass_scaling", "damping_rate")}
         | {

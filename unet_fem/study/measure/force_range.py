@@ -13,13 +13,18 @@ import numpy as np
 
 from fem.contact.push import Load
 from fem.contact.surface import Surface
-from fem.data.interaction import contacts_of
+from fem.data.interaction import contacts_of, simulate_frames
 from fem.errors import SolverStopped
 from fem.files import save_arrays
 from fem.solver.energy import EnergyLedger
-from fem.solver.frame_loop import FrameLoop
 from fem.workers import on_all_cores
-from unet_fem.study.measure.fixed_latency import frame_forces, frames_between, tuned
+from unet_fem.study.measure.fixed_latency import (
+    frame_forces,
+    frame_loop,
+    frames_between,
+    loop_name,
+    tuned,
+)
 from unet_fem.study.measure.reference import study_dataset
 
 TOLERANCE = 0.10  # relative L2
@@ -110,7 +115,7 @@ def run(study):
 
 
 def real_time(study, dataset):
-    """The Competitor that stands for the FEM in real time: of the tuned loops of full elements at
+    """The LoopSettings that stands for the FEM in real time: of the tuned loops of full elements at
     the shortest frame, that of fewest steps."""
     found = [
         c
@@ -129,7 +134,7 @@ def simulated(study, dataset, loop):
     stopped, or ""})).
 
     force and fields (frames, nx, ny, nz, 3) in mN and mm; a field ends before the frame that its
-    run did not reach. loop: the Competitor that is the FEM in real time. Computed in parallel where
+    run did not reach. loop: the LoopSettings that is the FEM in real time. Computed in parallel where
     they are missing, and kept in the study's folder.
     """
     which = [
@@ -189,15 +194,16 @@ def simulate_offline(dataset, number, factor, path):
     )
 
     def stepper(scene):
-        solver, ledger = scene.build_solver(mesh), EnergyLedger()
+        ledger = EnergyLedger()
+        answers = simulate_frames(scene.build_solver(mesh), load, times[1:], [ledger])
 
         def step(frame):
-            solver.advance(times[frame] - solver.time, load, [ledger])
+            answer = next(answers).displacement
             if ledger.smallest_J < scene.health.min_J:
                 raise SolverStopped(
                     "crushed cell", f"a cell is crushed to J = {ledger.smallest_J:.3g}"
                 )
-            return dataset.on_grid(force[frame], (solver.u.T * 1e3).astype(np.float32))[1]
+            return dataset.on_grid(force[frame], answer)[1]
 
         return step
 
@@ -209,17 +215,17 @@ def simulate_loop(dataset, number, factor, competitor, path):
     """Write the same by the FEM in real time, which takes its few steps for the force that comes
     every frame of its own."""
     loop, forces = (
-        FrameLoop(dataset, competitor),
+        frame_loop(dataset, competitor),
         factor * frame_forces(dataset, "test", number, competitor.frame),
     )
     calls = frames_between(dataset.scene, competitor.frame)
 
     def step(frame):
         for force in forces[(frame - 1) * calls : frame * calls]:
-            answer = loop(force)
+            answer = loop.step(force)
         return answer
 
-    save_frames(path, {competitor.name: step}, dataset)
+    save_frames(path, {loop_name(competitor): step}, dataset)
 
 
 def save_frames(path, steps, dataset):

@@ -1,0 +1,40 @@
+"""A load that is sampled now and then, and runs linearly between two samples."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+# share of the largest load so far by which its ramp between two samples may miss it
+LOAD_BEND = 0.005
+
+NodalLoad = Callable[[float], np.ndarray]  # t in s -> nodal forces (3, N) in N
+
+
+@dataclass(slots=True)
+class LoadRamp:
+    """What is known of a load from its samples.
+
+    rate: of the last ramp, (3, N) N/s; steps: that it took; size: largest component so far, N
+    """
+
+    rate: np.ndarray
+    steps: int
+    size: float = 0.0
+
+    def sample(
+        self, load: NodalLoad, now: np.ndarray, time: float, dt: float, most: int
+    ) -> tuple[int, np.ndarray]:
+        """(steps, load at their end): up to `most` steps of dt seconds from `time`, fewer where the
+        load bends away from its ramp so far. now: the load at `time`."""
+        count = most
+        while True:
+            then = np.asarray(load(time + count * dt), float)
+            self.size = max(self.size, np.abs(then).max())
+            # of a parabola from its chord
+            bend = np.abs(then - now - count * dt * self.rate).max() / 8
+            # a NaN is left to the solver
+            if count == 1 or not bend > LOAD_BEND * self.size:
+                self.rate, self.steps = (then - now) / (count * dt), count
+                return count, then
+            count //= 2

@@ -1,0 +1,79 @@
+"""What an observer is told of each step of a solver, whatever solver that is."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+
+class Energies(NamedTuple):
+    """Energies in J: kinetic, strain without relaxation, of the hourglass control, and the work of
+    the viscous stresses, which is minus what relaxation has spared so far."""
+
+    kinetic: float
+    strain: float
+    hourglass: float
+    viscous: float
+
+
+class Body(Protocol):
+    """What knows the energies of a body in motion."""
+
+    damping: float  # 1/s, proportional to mass
+    negligible_energy: float  # J, of a strain of about 0.1 %
+
+    def kinetic_energy(self, velocity: np.ndarray) -> float:
+        """J, of the velocity (3, N) in m/s."""
+
+    def energies(self, u: np.ndarray, velocity: np.ndarray) -> Energies:
+        """Of the displacement u (3, N) in m and the velocity (3, N) in m/s."""
+
+
+@dataclass(slots=True)
+class Step:
+    """One step from `time`: all that is known there.
+
+    time, dt: s; steps: how many came before
+    u: displacement at `time`, (3, N) m
+    v_before, v_after: velocity over the step that ends at `time` and over this one, (3, N) m/s
+    load, internal: external and internal nodal forces at `time`, (3, N) N
+    min_J: smallest J of all points at `time`
+    viscous_current: whether the viscous stress was brought up to date at `time`
+    last: whether it is the last step of an `advance`
+    body: knows the energies
+
+    The arrays are the solver's own, and the next step overwrites them: copy what is to be kept, and
+    change nothing.
+    """
+
+    time: float
+    dt: float
+    steps: int
+    u: np.ndarray
+    v_before: np.ndarray
+    v_after: np.ndarray
+    load: np.ndarray
+    internal: np.ndarray
+    min_J: float
+    viscous_current: bool
+    last: bool
+    body: Body
+
+    def velocity(self) -> np.ndarray:
+        """Velocity at `time`, (3, N) m/s, of second order.
+
+        The first step starts from that velocity itself: half a step before it is not known.
+        """
+        return 0.5 * (self.v_before + self.v_after) if self.steps else self.v_before
+
+    def kinetic_energy(self) -> float:
+        """J at `time`."""
+        return self.body.kinetic_energy(self.velocity())
+
+    def energies(self) -> Energies:
+        """The Energies at `time`."""
+        return self.body.energies(self.u, self.velocity())
+
+
+Observer = Callable[[Step], None]
