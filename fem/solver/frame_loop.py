@@ -93,7 +93,9 @@ class FrameLoop:
 
     def __init__(self, mesh: HexMesh, material: Hyperelastic, settings: LoopSettings) -> None:
         self.mesh, self.settings, self.interval = mesh, settings, settings.frame
-        self.grid = None if mesh.grid_shape is None else NodeGrid(mesh.grid_shape, mesh.grid_index)
+        self.grid: NodeGrid | None = None
+        if mesh.grid_shape is not None and mesh.grid_index is not None:
+            self.grid = NodeGrid(mesh.grid_shape, mesh.grid_index)
         simulated, self.transfer = loop_mesh(mesh, settings)
         longest = longest_step(mesh, material, settings)
         self.mass_scaling = max(1.0, (settings.frame / settings.steps / longest) ** 2)
@@ -121,8 +123,14 @@ class FrameLoop:
         where the FEM stops.
         """
         check_interval(self.interval, dt)
-        nodal = self._is_nodal(force)
-        old, new = self.load, self._to_mesh(force if nodal else self.grid.from_grid(force))
+        grid = self.grid
+        if grid is None or grid.is_nodal(force):
+            return self._step(self._checked(force))
+        return grid.to_grid(self._step(grid.from_grid(force)))
+
+    def _step(self, force):
+        """Displacement (N, 3) mm under the force (N, 3) mN."""
+        old, new = self.load, self._to_mesh(force)
         change, start = new - old, self.solver.time
         rise = self.settings.rise * self.settings.frame
         self.load = new
@@ -131,8 +139,7 @@ class FrameLoop:
             lambda t: old + min(1.0, (t - start) / rise) * change if rise else new,
             steps=self.settings.steps,
         )
-        u = self._from_mesh(self.solver.u)
-        return u if nodal else self.grid.to_grid(u)
+        return self._from_mesh(self.solver.u)
 
     def state(self) -> State:
         """A copy of all that the next answer depends on besides the next force."""
@@ -140,22 +147,21 @@ class FrameLoop:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another loop."""
-        if np.shape(state.get("load")) != self.load.shape:
+        if "load" not in state or np.shape(state["load"]) != self.load.shape:
             raise InputError(
                 "the state is not of this loop; restore one of the same mesh and settings"
             )
         self.solver.restore({name: array for name, array in state.items() if name != "load"})
         self.load = np.array(state["load"])
 
-    def _is_nodal(self, force):
-        if self.grid is not None:
-            return self.grid.is_nodal(force)
+    def _checked(self, force):
+        """The force if it is finite and one a node."""
         if force.shape != (self.mesh.n_nodes, 3) or not np.isfinite(force).all():
             raise InputError(
                 f"the force has shape {force.shape}; give finite mN of shape"
                 f" {(self.mesh.n_nodes, 3)}, one force a node"
             )
-        return True
+        return force
 
     def _to_mesh(self, force):
         nodal = force.T * (1 / MN)  # (3, N) N

@@ -1,12 +1,13 @@
-"""The runs of the stability map: each function returns a relative error, or the solver stops it.
-See tools/stability.py."""
+"""The runs of the map of limits: each function returns a relative error, or the solver stops it.
+See fem.measure.limits."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
-import fem.solver.explicit
 from fem.contact.push import smooth_step
 from fem.contact.surface import Surface
 from fem.errors import SolverStopped
@@ -19,6 +20,7 @@ from fem.solver.explicit import Solver
 from fem.solver.internal_force import ELEMENTS
 from fem.solver.rest import equilibrium
 
+Scale = Callable[[float], float]  # t in s -> share of the load
 TISSUE = NeoHooke(mu=400.0, nu=0.42, density=1000.0)
 PAPER = replace(TISSUE, prony=((0.12, 330.0), (0.8, 11.0)))
 EDGE = 1e-3  # m
@@ -28,38 +30,49 @@ FORCE = 1e-3  # N: x 1 of the pushes; on a circle of radius 2.2 mm it indents th
 RADIUS = 2.2e-3  # m
 
 
-def push(mesh, peak=FORCE):
+def push(mesh: HexMesh, peak: float = FORCE) -> np.ndarray:
     """(3, N) N: a smooth footprint in the middle of the top that pushes down."""
     load, middle = np.zeros((3, mesh.n_nodes)), np.ptp(mesh.points, axis=0) * [0.5, 0.5, 1.0]
     load[2] = -peak * Surface(mesh).footprint(middle, RADIUS)
     return load
 
 
-def ramp(duration):
+def ramp(duration: float) -> Scale:
+    """A smooth rise from 0 to 1 in `duration` seconds."""
     return lambda t: smooth_step(t / duration)
 
 
-def sudden(t):
+def sudden(t: float) -> float:
+    """All of the load from the start."""
     return 1.0
 
 
-def history(mesh, material, load, scale, duration, steps=None, **choices):
+def history(
+    mesh: HexMesh,
+    material: NeoHooke,
+    load: np.ndarray,
+    scale: Scale,
+    duration: float,
+    steps: int | None = None,
+    **choices: Any,
+) -> np.ndarray:
     """Displacement in m that is conjugate to the load field (3, N), at 200 instants of a run under
     scale(t) * load, with an energy ledger."""
     solver, record = Solver(mesh, material, **choices), []
-    observers = [
-        EnergyLedger(),
-        lambda s: record.append((s.time, np.vdot(load, s.u) / np.linalg.norm(load))),
-    ]
-    solver.advance(duration, lambda t: scale(t) * load, observers, steps)
+
+    def watch(step):
+        record.append((step.time, np.vdot(load, step.u) / np.linalg.norm(load)))
+
+    solver.advance(duration, lambda t: scale(t) * load, [EnergyLedger(), watch], steps)
     return np.interp(np.linspace(0, duration, 200), *np.transpose(record))
 
 
-def difference(got, exact):
-    return np.linalg.norm(got - exact) / np.linalg.norm(exact)
+def difference(got: np.ndarray | float, exact: np.ndarray) -> float:
+    """Relative L2."""
+    return float(np.linalg.norm(got - exact) / np.linalg.norm(exact))
 
 
-def against_small_steps(got, share, *run, **choices):
+def against_small_steps(got: np.ndarray | float, share: float, *run: Any, **choices: Any) -> float:
     """Error of a history against the same run with a `share` of the critical step, in float64."""
     try:
         return difference(
@@ -69,7 +82,17 @@ def against_small_steps(got, share, *run, **choices):
         return np.inf  # what must stop has come to an end
 
 
-def pushed(factor, material=TISSUE, scale=ramp(0.1), duration=0.15, refined=0.08, **choices):
+RISE = ramp(0.1)
+
+
+def pushed(
+    factor: float,
+    material: NeoHooke = TISSUE,
+    scale: Scale = RISE,
+    duration: float = 0.15,
+    refined: float = 0.08,
+    **choices: Any,
+) -> float:
     """A push of the block with `factor` times the force, against smaller steps. A stop counts only
     if they stop too."""
     run = BLOCK, material, push(BLOCK, factor * FORCE), scale, duration
@@ -82,7 +105,7 @@ def pushed(factor, material=TISSUE, scale=ramp(0.1), duration=0.15, refined=0.08
     return against_small_steps(got, refined, *run, **choices)
 
 
-def fixed_steps(ratio):
+def fixed_steps(ratio: float) -> float:
     """A fixed number of steps, `ratio` of the critical step at rest, while a push stiffens the
     tissue."""
     run = BLOCK, TISSUE, push(BLOCK, 5 * FORCE), ramp(0.1), 0.15
@@ -90,7 +113,7 @@ def fixed_steps(ratio):
     return against_small_steps(history(*run, steps=steps), 0.08, *run)
 
 
-def uniform(mesh, material, stretch, kind="full"):
+def uniform(mesh: HexMesh, material: NeoHooke, stretch: np.ndarray, kind: str = "full") -> float:
     """Error of the equilibrium against u = stretch z, which is exact on any mesh with a fixed
     bottom: P is uniform.
 
@@ -106,27 +129,26 @@ def uniform(mesh, material, stretch, kind="full"):
     load = np.zeros_like(mesh.points)
     np.add.at(load, faces, np.einsum("qa,mqj,ij->mai", shape, np.cross(s, t), material.stress(F)))
     relaxed = 1 - sum(g for g, _ in material.prony)
-    return difference(
-        equilibrium(mesh, material, relaxed * load, element=kind, max_steps=200_000).displacement,
-        mesh.points[:, 2:] * stretch,
-    )
+    found = equilibrium(mesh, material, relaxed * load, element=kind, max_steps=200_000)
+    return difference(found.displacement, mesh.points[:, 2:] * stretch)
 
 
 STRETCH = np.array([0.05, -0.03, 0.04])  # shear and tension: this equilibrium is stable
 
 
-def on_all_elements(mesh):
+def on_all_elements(mesh: HexMesh) -> float:
+    """The worst error of `uniform`."""
     return max(uniform(mesh, TISSUE, STRETCH, kind) for kind in ELEMENTS)
 
 
-def warped(mesh, amount=0.15):
+def warped(mesh: HexMesh, amount: float = 0.15) -> HexMesh:
     """The mesh with every node that is not on the bottom moved at random by up to `amount` of an
     edge."""
     shift = np.random.default_rng(1).uniform(-1, 1, mesh.points.shape) * (mesh.points[:, 2:] > 0)
     return replace(mesh, points=mesh.points + amount * EDGE * shift)
 
 
-def graded(ratio):
+def graded(ratio: float) -> HexMesh:
     """A block whose cells shrink by `ratio` from one side to the other."""
     mesh = box((6, 2, 2), EDGE, "bottom")
     lines = np.concatenate([[0], np.cumsum(ratio ** -np.linspace(0, 1, 6))]) * EDGE
@@ -135,7 +157,7 @@ def graded(ratio):
     return replace(mesh, points=points)
 
 
-def bad_cell(kind, amount):
+def bad_cell(kind: str, amount: float) -> HexMesh:
     """A block with a layer of slivers `amount` as thick as the others, or a corner whose Jacobian
     is `amount` of a cube's."""
     mesh = box((3, 3, 3), EDGE, "bottom")
@@ -143,41 +165,41 @@ def bad_cell(kind, amount):
     if kind == "sliver":
         points[np.isclose(points[:, 0], 2 * EDGE), 0] = (1 + amount) * EDGE
     else:
-        points[mesh.cells[-1, 6]] -= (
-            (1 - amount) / 3 * EDGE
-        )  # the outer corner of the last cell, in along the diagonal
+        # the outer corner of the last cell, in along the diagonal
+        points[mesh.cells[-1, 6]] -= (1 - amount) / 3 * EDGE
     return HexMesh(points, mesh.cells, mesh.fixed)
 
 
 @cache
-def indentation(nu, kind, refinement):
+def indentation(nu: float, kind: str, refinement: int, allow_locking: bool = False) -> float:
     """Depth in m to which the footprint indents the block, in cells of EDGE / refinement."""
     mesh = box(tuple(refinement * n for n in (6, 6, 4)), EDGE / refinement)
-    load = push(mesh)
-    u = equilibrium(mesh, replace(TISSUE, nu=nu), load.T, residual=1e-4, element=kind).displacement
-    return np.vdot(load.T, u) / FORCE
+    load, tissue = push(mesh), replace(TISSUE, nu=nu)
+    found = equilibrium(mesh, tissue, load.T, 1e-4, kind, allow_locking=allow_locking)
+    return float(np.vdot(load.T, found.displacement)) / FORCE
 
 
-def stiffness_error(nu, kind):
+def stiffness_error(nu: float, kind: str, allow_locking: bool = False) -> float:
     """Relative error of the indentation on a mesh with 4.4 cells a radius against one of half the
     cell with mean dilatation."""
-    return indentation(nu, kind, 2) / indentation(nu, "mean_dilatation", 4) - 1
+    return indentation(nu, kind, 2, allow_locking) / indentation(nu, "mean_dilatation", 4) - 1
 
 
-def locking(values):
+def locking(values: Sequence[float]) -> list[tuple[float, ...]]:
     """[(nu, full, reduced, mean dilatation)]: the errors above, the full element's where it is
     refused too."""
-    limit, fem.solver.explicit.LOCKING_NU = fem.solver.explicit.LOCKING_NU, 0.5
-    try:
-        return [
-            (nu, *(stiffness_error(nu, kind) for kind in ("full", "reduced", "mean_dilatation")))
-            for nu in values
-        ]
-    finally:
-        fem.solver.explicit.LOCKING_NU = limit
+    kinds = "full", "reduced", "mean_dilatation"
+    return [(nu, *(stiffness_error(nu, kind, True) for kind in kinds)) for nu in values]
 
 
-def creep(prony, duration, exact, kind="full", mass_scaling=1.0, **choices):
+def creep(
+    prony: tuple[tuple[float, float], ...],
+    duration: float,
+    exact: float,
+    kind: str = "full",
+    mass_scaling: float = 1.0,
+    **choices: Any,
+) -> float:
     """Error of the displacement after `duration` s of a sudden, small, held force against the creep
     function `exact`."""
     load = push(SMALL, 1e-6 * FORCE)
@@ -194,12 +216,12 @@ def creep(prony, duration, exact, kind="full", mass_scaling=1.0, **choices):
     return abs(np.vdot(load, solver.u) / np.vdot(load, elastic) / exact - 1)
 
 
-def one_term(g, tau, duration):
+def one_term(g: float, tau: float, duration: float) -> float:
     """Creep function of one Prony term: it retards with the time tau / (1 - g)."""
     return (1 - g * np.exp(-duration * (1 - g) / tau)) / (1 - g)
 
 
-def hour(choice):
+def hour(choice: tuple[str, str]) -> float:
     """The paper's tissue under a force held for an hour: D = 12.5 - 3.2365 exp(-t / 50.68) - 8.2635
     exp(-t / 895.3)."""
     kind, precision = choice
@@ -207,7 +229,7 @@ def hour(choice):
     return creep(PAPER.prony, 3600.0, exact, kind, mass_scaling=1e5, precision=precision)
 
 
-def densities(ratio):
+def densities(ratio: float) -> np.ndarray:
     """One factor a cell on the density: 1 on one half of the block, `ratio` on the other."""
     return np.where(BLOCK.points[BLOCK.cells].mean(axis=1)[:, 0] < 3 * EDGE, 1.0, ratio)
 
@@ -223,7 +245,7 @@ SINGLE = {  # label: material, element, peak force N, history of the load, durat
 }
 
 
-def single_precision(label):
+def single_precision(label: str) -> float:
     """float32 against float64 with the same steps."""
     material, kind, peak, scale, duration = SINGLE[label]
     run = BLOCK, material, push(BLOCK, peak), scale, duration

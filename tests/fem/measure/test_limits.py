@@ -3,14 +3,17 @@
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fem.contact.surface import Surface
-from fem.errors import InputError, SolverStopped
+from fem.errors import InputError, SolverStopped, Stop
 from fem.material.neo_hooke import NeoHooke
+from fem.measure import limits, limits_report
+from fem.measure.sweeps import Sweep, sweeps
 from fem.mesh.shapes import box
 from fem.solver.energy import EnergyLedger
 from fem.solver.explicit import Solver
@@ -61,16 +64,49 @@ def test_quick_map_has_no_wrong_cell(tmp_path):
     assert {"accurate"} < {row[2] for row in table}
 
 
-def test_published_map_is_complete_and_has_no_wrong_cell(monkeypatch):
-    """docs/stability.md holds every sweep and value of the script."""
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    import stability
+def test_a_map_of_nothing_is_refused():
+    """`--only` with a word that no sweep has tests nothing, and says which words there are."""
+    command = [sys.executable, "tools/stability.py", "--only", "zzz"]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 2 and "no cell of the map has 'zzz' in its name" in run.stderr
+    assert "density contrast" in run.stderr and not run.stdout
+    with pytest.raises(InputError, match="'one hour'"):
+        limits.measure(quick=True, only="one hour")
 
+
+def test_a_run_that_hangs_is_wrong(monkeypatch):
+    """It is ended after the time limit and counts as WRONG; where the system has no alarm it goes
+    on."""
+    monkeypatch.setattr(limits, "HANG", 1)
+    sweep = Sweep("endless", (0.0,), lambda x: time.sleep(5) or x, "nothing", 1.0)
+    assert limits.evaluate(sweep, 0.0).reason == "hangs"
+    monkeypatch.setattr(limits, "HAS_ALARM", False)
+    quick = Sweep("short", (0.0,), lambda x: time.sleep(1.2) or x, "nothing", 1.0)
+    assert limits.evaluate(quick, 0.0).status == "accurate"
+
+
+def test_locking_is_seen_without_touching_the_limit():
+    """The full element's error above the limit is that of a locking one, and is refused as
+    before."""
+    stiff = NeoHooke(mu=400.0, nu=0.4999, density=1000.0)
+    with pytest.raises(InputError, match="locks"):
+        equilibrium(BLOCK, stiff, push(1e-4).T)
+    locked = equilibrium(BLOCK, stiff, push(1e-4).T, 1e-3, allow_locking=True).displacement
+    free = equilibrium(BLOCK, stiff, push(1e-4).T, 1e-3, "mean_dilatation").displacement
+    assert 0 < np.linalg.norm(locked) < 0.5 * np.linalg.norm(free)
+
+
+def test_published_map_is_complete_and_has_no_wrong_cell():
+    """docs/stability.md holds every sweep and value of the map, under the text that would be
+    written."""
     table = cells(ROOT / "docs")
     assert [(row[0], row[1]) for row in table] == [
-        (sweep.name, sweep.label(value)) for sweep in stability.sweeps() for value in sweep.values
+        (sweep.name, sweep.label(value)) for sweep in sweeps() for value in sweep.values
     ]
     assert_nothing_wrong(table)
+    published = (ROOT / "docs/stability.md").read_text()
+    for part in (*limits_report.INTRODUCTION.split("{counts}"), limits_report.LOCKING):
+        assert part in published
 
 
 @pytest.mark.parametrize("kind", ["full", "reduced", "mean_dilatation"])
@@ -134,9 +170,11 @@ def test_impact_is_saved_by_smaller_steps(peak):
     load, depths = push(peak), []
     for safety in (0.85, 0.1):
         solver, ledger, record = Solver(BLOCK, TISSUE, safety=safety), EnergyLedger(), []
-        solver.advance(
-            0.03, lambda t: load, [ledger, lambda s: record.append((s.time, np.vdot(load, s.u)))]
-        )
+
+        def watch(step, record=record):
+            record.append((step.time, np.vdot(load, step.u)))
+
+        solver.advance(0.03, lambda t: load, [ledger, watch])
         assert ledger.worst_imbalance() < 0.03 and ledger.smallest_J > 0.2
         depths.append(np.interp(np.linspace(0, 0.03, 100), *np.transpose(record)))
     assert np.linalg.norm(depths[0] - depths[1]) < 0.08 * np.linalg.norm(depths[1])
@@ -148,7 +186,7 @@ def test_tangled_cells_stop_the_run():
     solver = Solver(BLOCK, TISSUE, "reduced", damping=50.0)
     with pytest.raises(SolverStopped, match="cell .* is turned inside out at a corner") as stop:
         solver.advance(0.15, lambda t: min(1.0, t / 0.1) * load, [EnergyLedger()])
-    assert stop.value.reason == "inverted cell" and solver.force.min_J > 0.5
+    assert stop.value.reason is Stop.INVERTED_CELL and solver.force.min_J > 0.5
 
 
 def test_step_past_the_critical_is_refused():
@@ -158,10 +196,13 @@ def test_step_past_the_critical_is_refused():
     for solver, steps in ((Solver(BLOCK, TISSUE, safety=1.05), None), (Solver(BLOCK, TISSUE), 99)):
         with pytest.raises(SolverStopped, match="exceeds the critical") as stop:
             solver.advance(100 * solver.critical_step, lambda t: still, steps=steps)
-        assert stop.value.reason == "step too large" and solver.steps == 0
-    with pytest.raises(SolverStopped, match="cell .* is the thinnest; repair the thinnest cell or raise solver.mass_scaling") as stop:
+        assert stop.value.reason is Stop.STEP_TOO_LARGE and solver.steps == 0
+    with pytest.raises(
+        SolverStopped,
+        match="cell .* is the thinnest; repair the thinnest cell or raise solver.mass_scaling",
+    ) as stop:
         Solver(BLOCK, TISSUE).advance(1e6, lambda t: still)
-    assert stop.value.reason == "too many steps"
+    assert stop.value.reason is Stop.TOO_MANY_STEPS
 
 
 def test_mass_scaling_may_differ_from_cell_to_cell():
