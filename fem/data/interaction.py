@@ -1,7 +1,7 @@
 """One interaction of a scene, simulated, judged, and drawn again if it is unfit for training."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,12 +28,17 @@ from fem.solver.record import Observer
 
 
 class Frame(NamedTuple):
-    """The tissue at one instant: force (N, 3) mN and displacement (N, 3) mm in float32, volume
-    mm3."""
+    """The tissue at one instant: force (N, 3) mN and displacement (N, 3) mm in float32, volume mm3;
+    or at several, with a leading axis."""
 
     force: np.ndarray
     displacement: np.ndarray
-    volume: float
+    volume: float | np.ndarray
+
+
+def stacked(frames: Iterable[Frame]) -> Frame:
+    """Several frames as one: force and displacement (frames, N, 3), volume (frames,)."""
+    return Frame(*(np.array(part) for part in zip(*frames, strict=True)))
 
 
 def simulate_frames(
@@ -61,12 +66,10 @@ def simulate(scene: Scene, mesh: HexMesh, contacts: list[Contact], surface: Surf
     """
     solver, ledger, times = scene.build_solver(mesh), EnergyLedger(), scene.frames.times
     balances = FrameBalances(ledger, times, scene.material.prony)
-    frames = list(simulate_frames(solver, Load(surface, contacts), times, [ledger, balances]))
+    load = Load(surface, contacts)
+    frames = stacked(simulate_frames(solver, load, times, [ledger, balances]))
     judged = ledger.rows + balances.rows
-    return {
-        "force": np.array([frame.force for frame in frames]),
-        "displacement": np.array([frame.displacement for frame in frames]),
-        "volume": np.array([frame.volume for frame in frames]),
+    return frames._asdict() | {
         "energy": balances.at_frames(),
         "imbalance": worst_imbalance(judged),
         "min_J": ledger.smallest_J,

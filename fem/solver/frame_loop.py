@@ -123,7 +123,7 @@ class FrameLoop:
         where the FEM stops.
         """
         check_interval(self.interval, dt)
-        grid = self.grid
+        force, grid = np.asarray(force), self.grid
         if grid is None or grid.is_nodal(force):
             return self._step(self._checked(force))
         return grid.to_grid(self._step(grid.from_grid(force)))
@@ -156,10 +156,11 @@ class FrameLoop:
 
     def _checked(self, force):
         """The force if it is finite and one a node."""
-        if force.shape != (self.mesh.n_nodes, 3) or not np.isfinite(force).all():
+        shape = self.mesh.n_nodes, 3
+        if force.shape != shape or force.dtype.kind not in "fiu" or not np.isfinite(force).all():
             raise InputError(
-                f"the force has shape {force.shape}; give finite mN of shape"
-                f" {(self.mesh.n_nodes, 3)}, one force a node"
+                f"the force is {force.dtype} of shape {force.shape}; give finite mN of shape"
+                f" {shape}, one force a node"
             )
         return force
 

@@ -4,12 +4,15 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from fem.contact.draw import ContactRange
 from fem.contact.push import Contact, Load
 from fem.contact.surface import Surface
 from fem.data.dataset import Dataset
-from fem.data.interaction import simulate_frames
+from fem.data.interaction import simulate_frames, stacked
 from fem.errors import SolverStopped, Stop
+from fem.mesh.hexmesh import HexMesh
 from fem.solver.energy import EnergyLedger
+from fem.solver.load_ramp import NodalLoad
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.registry import Model
 from unet_fem.training.losses import deformed_volume
@@ -18,7 +21,7 @@ from unet_fem.training.samples import windows
 FRAMES, RAMP = 5, 0.5  # frames of the scene's interval, and seconds over which the load rises
 
 
-def extreme_loads(mesh, contact):
+def extreme_loads(mesh: HexMesh, contact: ContactRange) -> dict[str, NodalLoad]:
     """{name: load(t)} for a mesh in m and the ContactRange of its scene; each load (3, N) N rises
     and is then held.
 
@@ -54,9 +57,9 @@ def extreme_loads(mesh, contact):
 
     top = np.unique(mesh.free_faces)
     top = top[~mesh.fixed[top]]
-    place = (
-        np.unravel_index(mesh.grid_index[top], mesh.grid_shape) if mesh.grid_shape else [top]
-    )  # else by node number
+    place: tuple[np.ndarray, ...] = (top,)  # by node number, or by place in the grid
+    if mesh.grid_shape is not None and mesh.grid_index is not None:
+        place = np.unravel_index(mesh.grid_index[top], mesh.grid_shape)
     signs = np.where(np.sum(place, axis=0) % 2, 1.0, -1.0)
     board = np.zeros((3, mesh.n_nodes))
     board[2, top] = signs * contact.force[1] / len(top)
@@ -72,7 +75,7 @@ def extreme_loads(mesh, contact):
     }
 
 
-def fem_response(dataset, load):
+def fem_response(dataset: Dataset, load: NodalLoad) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(force mN, displacement mm, volume mm3) at FRAMES frames, fields on the grid (FRAMES, nx, ny,
     nz, 3).
 
@@ -82,13 +85,12 @@ def fem_response(dataset, load):
     scene, ledger = dataset.scene, EnergyLedger()
     times = np.arange(FRAMES) * scene.frames.interval
     solver = scene.build_solver(dataset.fem_mesh)
-    frames = list(simulate_frames(solver, load, times, [ledger]))
+    frames = stacked(simulate_frames(solver, load, times, [ledger]))
     if ledger.smallest_J < scene.health.min_J:
         raise SolverStopped.because(
             Stop.CRUSHED_CELL, f"a cell is crushed to J = {ledger.smallest_J:.3g}"
         )
-    force, displacement, volume = (np.array(part) for part in zip(*frames, strict=True))
-    return *dataset.on_grid(force, displacement), volume
+    return *dataset.on_grid(frames.force, frames.displacement), frames.volume
 
 
 def judge_extremes(models: dict[str, Model], dataset: Dataset, steps: int | None) -> dict:
@@ -106,7 +108,7 @@ def judge_extremes(models: dict[str, Model], dataset: Dataset, steps: int | None
         try:
             force, truth, volume = fem_response(dataset, load)
         except SolverStopped as stop:
-            result[case] = {"FEM": {"stopped": stop.reason}}
+            result[case] = {"FEM": {"stopped": str(stop.reason)}}
             continue
         result[case] = {
             "FEM": {
