@@ -65,6 +65,11 @@ class Solver:
         self.control = control(self.leapfrog, safety)
         self.state, self.pace = self.leapfrog.rest(), Pace()
         self.ramp = LoadRamp(np.zeros((3, mesh.n_nodes)), BLOCK)
+        self.estimate_step()
+
+    def estimate_step(self) -> None:
+        """Estimate the critical step in the present state; `advance` does so where it is needed.
+        Raises SolverStopped if a corner of a cell is turned inside out, or no step is stable."""
         self.control.estimate(self.pace, self.state)
 
     @property
