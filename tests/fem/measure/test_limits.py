@@ -52,6 +52,7 @@ def assert_nothing_wrong(table):
         assert outcome != "accurate" or float(error) <= float(tolerance)
 
 
+@pytest.mark.slow
 def test_quick_map_has_no_wrong_cell(tmp_path):
     """`python tools/stability.py --quick` ends well and writes a figure and a table in which every
     cell is accurate or stopped."""

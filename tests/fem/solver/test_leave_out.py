@@ -66,6 +66,7 @@ def test_elastic_tissue_keeps_no_history():
     assert viscous.leapfrog.elastic_force is not viscous.force
 
 
+@pytest.mark.timing
 def test_elastic_run_takes_less_time_and_memory():
     """On the tumour Prony terms, brought up to date in every step, cost at least a quarter more
     time and twice the memory."""
@@ -162,6 +163,7 @@ def test_congruent_cells_share_one_gradient_matrix():
         assert chunk.element.gradient.shape == (24, 8) and chunk.element.to_physical is None
 
 
+@pytest.mark.timing
 def test_shared_gradients_take_less_time_and_memory(distort):
     """Equal cubes need less time and memory than cells of different shape."""
     cubes = tumour()
