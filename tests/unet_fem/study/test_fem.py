@@ -116,7 +116,10 @@ def test_mass_scaling_makes_the_steps_of_a_frame_just_stable(dataset):
     competitor = LoopSettings("reduced", False, FRAME, 5)
     loop = fixed_latency.frame_loop(dataset, competitor)
     assert np.isclose(SAFETY * loop.solver.critical_step, FRAME / 5, rtol=1e-2)
-    assert np.isclose(np.sqrt(loop.mass_scaling), FRAME / 5 / longest_step(dataset.fem_mesh, dataset.scene.material, competitor))
+    assert np.isclose(
+        np.sqrt(loop.mass_scaling),
+        FRAME / 5 / longest_step(dataset.fem_mesh, dataset.scene.material, competitor),
+    )
 
 
 def test_a_frame_action_is_the_loop_that_was_judged(study, dataset, truth):

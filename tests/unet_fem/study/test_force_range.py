@@ -182,7 +182,11 @@ def test_simulated_runs_are_kept(dataset, tmp_path, monkeypatch):
     )
     ((which, (force, answers, reasons)),) = simulated(study, dataset, LOOP)
     np.testing.assert_array_equal(force, 0.5 * dataset.read("test")["force"][0])
-    assert which == (1, 0.5) and set(answers) == set(reasons) == {"truth", "elastic FEM", loop_name(LOOP)}
+    assert which == (1, 0.5) and set(answers) == set(reasons) == {
+        "truth",
+        "elastic FEM",
+        loop_name(LOOP),
+    }
     monkeypatch.setattr(
         force_range, "on_all_cores", lambda *arguments: pytest.fail("simulated again")
     )

@@ -60,6 +60,7 @@ validation = 2
 test = 3
 hard = [2, 2]
 [health]
+imbalance = 0.05
 kinetic_share = 1.0
 """
 SETTINGS = """
