@@ -33,7 +33,7 @@ class Frame(NamedTuple):
 
     force: np.ndarray
     displacement: np.ndarray
-    volume: float | np.ndarray
+    volume: np.ndarray
 
 
 def stacked(frames: Iterable[Frame]) -> Frame:
@@ -52,7 +52,7 @@ def simulate_frames(
         yield Frame(
             (load(time).T * MN).astype(np.float32),
             (solver.u.T * MM).astype(np.float32),
-            solver.mesh.volume(solver.u.T) * MM**3,
+            np.asarray(solver.mesh.volume(solver.u.T) * MM**3),
         )
 
 

@@ -1,9 +1,12 @@
 """One simulation without a scene: a mesh, a material and a load are enough."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from fem.contact.push import Load, Push
+from fem.contact.surface import surface_of
 from fem.data.interaction import Frame, simulate_frames, stacked
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
@@ -14,18 +17,20 @@ from fem.solver.load_ramp import NodalLoad
 
 
 def simulate(
-    mesh: HexMesh, material: Hyperelastic, load: NodalLoad, times: np.ndarray, **settings: Any
+    mesh: HexMesh,
+    material: Hyperelastic,
+    push: Push | NodalLoad,
+    times: Sequence[float] | np.ndarray,
+    **settings: Any,
 ) -> Frame:
-    """The tissue at `times` (s, ascending from 0 on) under the nodal force `load(t)` (3, N) in N,
-    from rest: a Frame with the force (times, N, 3) mN, the displacement (times, N, 3) mm and the
-    volume (times,) mm3.
+    """The tissue at `times` (s, ascending from 0 on) under a push, from rest: a Frame with the
+    force (times, N, 3) mN, the displacement (times, N, 3) mm and the volume (times,) mm3.
 
-    load: such as a fem.contact.push.Load; settings: see fem.solver.explicit.Solver
+    push: a fem.contact.push.Push, or any nodal force: called with t in s it gives (3, N) in N;
+    settings: see fem.solver.explicit.Solver
 
-        mesh = tumour()
-        force = np.zeros((3, mesh.n_nodes))
-        force[2, mesh.points[:, 2].argmax()] = -1e-4
-        frames = simulate(mesh, NeoHooke(400.0, 0.42, 1000.0), lambda t: t * force, [0.0, 0.5, 1.0])
+        push = Push(at="top", force=1e-3, radius=2e-3)
+        frames = simulate(tumour(), NeoHooke(400.0, 0.42, 1000.0), push, [0.0, 0.5, 1.0])
 
     Raises InputError for times that do not ascend, SolverStopped where the solver cannot go on or
     its energy is out of balance.
@@ -33,5 +38,6 @@ def simulate(
     times = np.asarray(times, float)
     if times.ndim != 1 or not times.size or times[0] < 0 or not (np.diff(times) > 0).all():
         raise InputError(f"times = {times} s must ascend, from 0 or later on")
+    load = Load(surface_of(mesh), [push]) if isinstance(push, Push) else push
     solver = Solver(mesh, material, **settings)
     return stacked(simulate_frames(solver, load, times, [EnergyLedger()]))

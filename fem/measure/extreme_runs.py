@@ -173,7 +173,7 @@ def bad_cell(kind: str, amount: float) -> HexMesh:
 @cache
 def indentation(nu: float, kind: str, refinement: int, allow_locking: bool = False) -> float:
     """Depth in m to which the footprint indents the block, in cells of EDGE / refinement."""
-    mesh = box(tuple(refinement * n for n in (6, 6, 4)), EDGE / refinement)
+    mesh = box((6 * refinement, 6 * refinement, 4 * refinement), EDGE / refinement)
     load, tissue = push(mesh), replace(TISSUE, nu=nu)
     found = equilibrium(mesh, tissue, load.T, 1e-4, kind, allow_locking=allow_locking)
     return float(np.vdot(load.T, found.displacement)) / FORCE

@@ -12,7 +12,7 @@ from fem.material.base import Hyperelastic
 from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import from_voxels
-from fem.online.grid import MM, MN, NodeGrid
+from fem.online.grid import MM, MN
 from fem.online.stepper import State, check_interval
 from fem.solver.explicit import Solver
 from fem.solver.leapfrog import Leapfrog
@@ -93,9 +93,7 @@ class FrameLoop:
 
     def __init__(self, mesh: HexMesh, material: Hyperelastic, settings: LoopSettings) -> None:
         self.mesh, self.settings, self.interval = mesh, settings, settings.frame
-        self.grid: NodeGrid | None = None
-        if mesh.grid_shape is not None and mesh.grid_index is not None:
-            self.grid = NodeGrid(mesh.grid_shape, mesh.grid_index)
+        self.grid = mesh.grid
         simulated, self.transfer = loop_mesh(mesh, settings)
         longest = longest_step(mesh, material, settings)
         self.mass_scaling = max(1.0, (settings.frame / settings.steps / longest) ** 2)
@@ -206,22 +204,23 @@ def coarse_mesh(mesh: HexMesh) -> tuple[HexMesh, scipy.sparse.csr_matrix]:
     interpolation, so that forces go the other way by its transpose (see fem.mesh.embedding). Raises
     InputError for a mesh that lies on no node grid.
     """
-    if mesh.grid_shape is None:
+    if mesh.grid is None:
         raise InputError(
             "a coarse mesh is made on the node grid, and this mesh does not lie on one;"
             " set coarse = False or take mesh.kind = 'tumour' or 'box'"
         )
-    shape = tuple(max(1, round((n - 1) / 2)) + 1 for n in mesh.grid_shape)
-    embedding = Embedding(mesh, shape)
-    around = embedding.grid_mesh
-    keep = np.zeros(np.array(shape) - 1, bool)
-    keep[np.unravel_index(around.grid_index[around.cells[:, 0]], shape)] = True
+    nx, ny, nz = (max(1, round((n - 1) / 2)) + 1 for n in mesh.grid.shape)
+    embedding = Embedding(mesh, (nx, ny, nz))
+    around, index = embedding.grid_mesh, _index(embedding.grid_mesh)
+    keep = np.zeros((nx - 1, ny - 1, nz - 1), bool)
+    keep[np.unravel_index(index[around.cells[:, 0]], (nx, ny, nz))] = True
     cubes = from_voxels(keep, 1.0, "all but top")
-    coarse = replace(
-        cubes,
-        points=mesh.points.min(axis=0)
-        + cubes.points * np.ptp(mesh.points, axis=0) / (np.array(shape) - 1),
-    )
-    return coarse, embedding.to_mesh_matrix[
-        :, np.searchsorted(around.grid_index, coarse.grid_index)
-    ].tocsr()
+    low, size = mesh.points.min(axis=0), np.ptp(mesh.points, axis=0)
+    coarse = replace(cubes, points=low + cubes.points * size / np.array([nx - 1, ny - 1, nz - 1]))
+    kept = np.searchsorted(index, _index(coarse))
+    return coarse, embedding.to_mesh_matrix[:, kept].tocsr()
+
+
+def _index(mesh):
+    """Places of the nodes in the mesh's own node grid."""
+    return mesh.grid.index

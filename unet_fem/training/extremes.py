@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from fem.contact.draw import ContactRange
-from fem.contact.push import Contact, Load
+from fem.contact.push import Load, Push
 from fem.contact.surface import Surface
 from fem.data.dataset import Dataset
 from fem.data.interaction import simulate_frames, stacked
@@ -28,32 +28,10 @@ def extreme_loads(mesh: HexMesh, contact: ContactRange) -> dict[str, NodalLoad]:
     Forces are multiples of the largest training force of one contact, at the middle of the surface
     or at its rim.
     """
-    surface = Surface(mesh)
-    middle, rim = surface.clearance.argmax(), surface.clearance.argmin()
-    radius = float(np.mean(contact.radius))
+    surface, radius = Surface(mesh), float(np.mean(contact.radius))
 
     def push(factor, at):
-        centre = surface.points[at]
-        duration = 1e9  # the contact stays where it is
-        return Load(
-            surface,
-            [
-                Contact(
-                    centre,
-                    centre,
-                    -surface.normal[at],
-                    radius,
-                    factor * contact.force[1],
-                    0.0,
-                    RAMP,
-                    duration,
-                    "hold",
-                    0.0,
-                    1.0,
-                    duration,
-                )
-            ],
-        )
+        return Load(surface, [Push(at, factor * contact.force[1], radius, ramp=RAMP)])
 
     top = np.unique(mesh.free_faces)
     top = top[~mesh.fixed[top]]
@@ -64,13 +42,13 @@ def extreme_loads(mesh: HexMesh, contact: ContactRange) -> dict[str, NodalLoad]:
     board = np.zeros((3, mesh.n_nodes))
     board[2, top] = signs * contact.force[1] / len(top)
     return {
-        "zero force": push(0.0, middle),
-        "largest training force": push(1.0, middle),
-        "1.6 x": push(1.6, middle),
-        "2.5 x": push(2.5, middle),
-        "4 x": push(4.0, middle),
-        "sign flipped (pull)": push(-1.0, middle),
-        "at the rim": push(1.0, rim),
+        "zero force": push(0.0, "middle"),
+        "largest training force": push(1.0, "middle"),
+        "1.6 x": push(1.6, "middle"),
+        "2.5 x": push(2.5, "middle"),
+        "4 x": push(4.0, "middle"),
+        "sign flipped (pull)": push(-1.0, "middle"),
+        "at the rim": push(1.0, "rim"),
         "checkerboard": lambda t: min(t / RAMP, 1.0) * board,
     }
 

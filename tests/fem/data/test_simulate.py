@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fem.contact.push import Push
 from fem.data.simulate import simulate
 from fem.errors import InputError, SolverStopped
 from fem.material.neo_hooke import NeoHooke
@@ -24,6 +25,13 @@ def test_mesh_material_load_and_times_are_enough():
         np.testing.assert_array_equal(u, (solver.u.T * 1e3).astype(np.float32))
         assert volume == MESH.volume(solver.u.T) * 1e9
     assert frames.displacement[-1].any() and frames.volume[-1] < frames.volume[0]
+
+
+def test_a_push_is_enough_of_a_load():
+    push = Push(at="top", force=1e-4, radius=1.5e-3, ramp=0.02)
+    frames = simulate(MESH, TISSUE, push, [0.0, 0.02], damping=50.0)
+    assert not frames.force[0].any() and frames.displacement[1, :, 2].min() < 0
+    np.testing.assert_allclose(frames.force[1].sum(axis=0), [0, 0, -0.1], atol=1e-6)
 
 
 @pytest.mark.parametrize("times", [[], [0.1, 0.1], [-0.1, 0.1], [0.0, np.nan], [[0.0, 1.0]]])

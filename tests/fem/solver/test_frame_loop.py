@@ -8,14 +8,14 @@ import pytest
 from fem.errors import InputError
 from fem.material.neo_hooke import NeoHooke
 from fem.mesh.shapes import box
-from fem.online.grid import MM, NodeGrid
+from fem.online.grid import MM
 from fem.online.stepper import Stepper
 from fem.solver.explicit import Solver
 from fem.solver.frame_loop import FrameLoop, LoopSettings, coarse_mesh
 
 TISSUE = NeoHooke(mu=400.0, nu=0.42, density=1000.0, prony=((0.12, 330.0), (0.8, 11.0)))
 MESH = box((4, 4, 2), 1e-3)
-GRID = NodeGrid(MESH.grid_shape, MESH.grid_index)
+GRID = MESH.grid
 FRAME = 0.02  # s
 SETTINGS = LoopSettings("full", False, FRAME, 6)
 
@@ -51,7 +51,7 @@ def test_both_layouts_give_the_same_displacement(element, coarse):
 
 
 def test_a_mesh_without_a_grid_takes_nodal_forces_and_no_coarse_mesh():
-    loose = replace(MESH, grid_shape=None, grid_index=None)
+    loose = replace(MESH, grid=None)
     np.testing.assert_array_equal(
         answers(FrameLoop(loose, TISSUE, SETTINGS)), answers(FrameLoop(MESH, TISSUE, SETTINGS))
     )
