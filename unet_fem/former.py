@@ -26,12 +26,12 @@ FORMER: Table = {
         "unet_fem.training.section": "displacement_fields",
     },
     "unet_fem.latency": {
-        "unet_fem.deployment.latency": (
-            "use_threads network_actions lite_files surrogate_action fem_action peak_memory machine"
-        ),
+        "unet_fem.deployment.exported": "lite_files",
+        "unet_fem.deployment.latency": "use_threads fem_action peak_memory machine",
     },
     "unet_fem.lite": {
-        "unet_fem.deployment.tflite": "VARIANTS export calibration_windows surrogate_facts audit",
+        "unet_fem.deployment.tflite": "VARIANTS export calibration_windows surrogate_facts",
+        "unet_fem.deployment.tflite_graph": "audit",
     },
     "unet_fem.losses": {
         "unet_fem.training.losses": (
@@ -46,7 +46,9 @@ FORMER: Table = {
         "unet_fem.networks.layers": "float32_twin",
     },
     "unet_fem.prune": {
-        "unet_fem.deployment.pruning": "magnitude_prune rebuild thin",
+        "unet_fem.deployment.pruning": "magnitude_prune",
+        "unet_fem.deployment.thinning": "thin",
+        "unet_fem.deployment.twins": "rebuild legacy_twin",
     },
     "unet_fem.reexpress": {
         "unet_fem.deployment.conv2d": "reexpress",
@@ -65,7 +67,7 @@ FORMER: Table = {
         "fem.solver.frame_loop": "Competitor FrameLoop longest_step loop_mesh coarse_mesh",
     },
     "unet_fem.study.pod": {
-        "fem.online.regression": "Regression predict",
+        "fem.online.regression": "Regression",
         "unet_fem.networks.pod": "linear reduced truncated",
     },
     "unet_fem.study.statistics": {
@@ -73,7 +75,10 @@ FORMER: Table = {
     },
 }
 GONE = {
+    "unet_fem.latency.network_actions": "time the steppers of unet_fem.deployment.forms",
+    "unet_fem.latency.surrogate_action": "use the step of a unet_fem.Surrogate",
     "unet_fem.config.ModelChoice": (
         "each kind of model has options of its own in unet_fem.networks.registry"
     ),
+    "unet_fem.study.pod.predict": "use regression.predict(force)",
 }

@@ -20,7 +20,7 @@ from unet_fem.runtime.surrogate_file import write_surrogate
 from unet_fem.training.samples import windows
 
 ROOT = Path(__file__).parents[3]
-HEAVY = "tensorflow keras tf_keras scipy h5py meshio tqdm matplotlib".split()
+HEAVY = "tensorflow keras tf_keras scipy h5py meshio matplotlib".split()
 PROGRAM = f"""
 import importlib.metadata, importlib.util, json
 from pathlib import Path
@@ -29,6 +29,7 @@ import fem, unet_fem
 
 force, answer = (np.load(name) for name in ("force.npy", "answer.npy"))
 surrogate = unet_fem.Surrogate("model.tflite")
+assert isinstance(surrogate, fem.Stepper)
 found = np.array([surrogate.step(field) for field in force])
 np.testing.assert_allclose(found, answer, atol=1e-5 * np.abs(answer).max())
 try:
