@@ -2,19 +2,22 @@
 
     python tools/report.py [configs/study.toml] [--quick] [--out docs] [--again STAGE ...]
 
-What is there already is used again: trained runs under runs/, figures of each stage under
-runs/<study>/, as long as their settings are the same (after a change of the code give --again). A
+What is there already is used again: trained runs under runs/, figures of each stage in the cache,
+as long as what they depend on is the same: the study's settings, the dataset, the runs' files. A
 command that was cut off goes on where it was. --quick takes configs/study_quick.toml, minutes
 instead of hours.
 """
 
 import argparse
+import os
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+from fem.cache import VARIABLE
 from fem.commands import command_line
 from fem.errors import InputError
-from unet_fem.study import runs as pipeline
-from unet_fem.study.report import page
+from unet_fem.study.runs import CommandFailed, deploy, make_long_data, train_networks
 from unet_fem.study.settings import load_study
 from unet_fem.study.stages import STAGES, run_stage
 
@@ -22,7 +25,38 @@ STUDY, QUICK = Path("configs/study.toml"), Path("configs/study_quick.toml")
 
 
 @command_line
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the study that `arguments` ask for."""
+    options = parse(arguments)
+    if options.quick and options.study:
+        raise InputError(f"give either {options.study} or --quick, not both")
+    for name in options.again:
+        if name not in STAGES:
+            raise InputError(f"--again {name}: no such stage; there are {', '.join(STAGES)}")
+    if options.cache:
+        os.environ[VARIABLE] = str(options.cache)  # for the commands that this one starts, too
+    study = load_study(options.study or (QUICK if options.quick else STUDY))
+    out = options.out or (study.folder if options.quick else Path("docs"))
+    try:
+        if not options.draw:
+            train_networks(study)
+            deploy(study)
+            make_long_data(study)
+        results = {
+            name: run_stage(study, name, again=name in options.again, only_read=options.draw)
+            for name in STAGES
+        }
+    except CommandFailed as failed:
+        print(failed, file=sys.stderr)
+        sys.exit(failed.code)
+    from unet_fem.study.report import page  # not above: it brings TensorFlow and matplotlib
+
+    path = page.write(study, results, out)
+    print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options of the command line."""
     parser = argparse.ArgumentParser(
         prog="python tools/report.py", description=__doc__.split("\n")[0]
     )
@@ -49,23 +83,12 @@ def main(arguments=None):
         action="store_true",
         help="train and measure nothing: draw and write from what is there",
     )
-    options = parser.parse_args(arguments)
-    if options.quick and options.study:
-        raise InputError(f"give either {options.study} or --quick, not both")
-    for name in options.again:
-        if name not in STAGES:
-            raise InputError(f"--again {name}: no such stage; there are {', '.join(STAGES)}")
-    study = load_study(options.study or (QUICK if options.quick else STUDY))
-    out = options.out or (study.folder if options.quick else Path("docs"))
-    if not options.draw:
-        pipeline.train_networks(study)
-        pipeline.deploy(study)
-    results = {
-        name: run_stage(study, name, again=name in options.again, only_read=options.draw)
-        for name in STAGES
-    }
-    path = page.write(study, results, out)
-    print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
+    parser.add_argument(
+        "--cache",
+        type=Path,
+        help=f"folder of what was measured (default: ${VARIABLE}, or runs/cache)",
+    )
+    return parser.parse_args(arguments)
 
 
 if __name__ == "__main__":

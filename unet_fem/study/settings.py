@@ -1,12 +1,16 @@
 """Settings of a study, read from a TOML file: which networks it trains and which competitors it
 measures."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fem import settings as config
+from fem.cache import cache_root
 from fem.errors import InputError
-from unet_fem.training.settings import load_settings
+from unet_fem.training.settings import Settings, load_settings
+
+LINEAR = "linear regression"  # names the regression among the claims of the paper
 
 
 @dataclass(frozen=True)
@@ -18,8 +22,33 @@ class Network:
     changes: tuple[str, ...] = ()
 
     @property
-    def settings(self):
+    def settings(self) -> Settings:
+        """Of the run, read from its files now."""
         return load_settings(self.config, [*self.changes, f"name={self.name}"])
+
+
+@dataclass(frozen=True)
+class Main:
+    """A network that is pruned and shown in every figure.
+
+    label: its name in figures and tables; prune_epochs: of fine-tuning.
+    """
+
+    label: str
+    run: str
+    prune_epochs: int = 10
+
+
+@dataclass(frozen=True)
+class Order:
+    """The paper's claim that `better` errs less than `worse`, by the share `gain` of its error.
+
+    Both are labels of main networks, or "linear regression".
+    """
+
+    better: str
+    worse: str
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -59,25 +88,22 @@ class Stability:
 
 @dataclass(frozen=True)
 class Study:
-    """name: of the folder under runs/ for what is measured; the runs themselves lie beside it
+    """name: of the folder under runs/ for its page; the runs themselves lie beside it
 
-    cnn_lstm, unet: the runs that are pruned and shown in every figure; deployed: those that are
-    exported in every form
-    configurations: runs of the paper's table of configurations; physics: arms of the comparison
-    with and without the volume term, the first of them without; learning_rate: two runs, the
-    schedule first; window: two runs, the shorter first
-    prune: shares to remove; prune_epochs: of fine-tuning the
-    CNN-LSTM and the U-Net
-    pod_modes: numbers of modes of the POD with regression; long_scene: scene of the long
-    interactions and its dataset
-    rounds: timings of each competitor; notes: {section of the page: what its numbers mean, in
-    words}
+    main: the networks that are pruned and shown in every figure, the paper's best first: its
+    dataset is the study's, and it is the one whose configurations are compared; deployed: runs
+    that are exported in every form
+    order: claims of the paper; paper_latency: {label of a main network, or "FEM": s} as the paper
+    gives them; configurations: runs of the paper's table of configurations;
+    physics: arms of the comparison with and without the volume term, the first of them without;
+    learning_rate: two runs, the schedule first; window: two runs, the shorter first
+    prune: shares to remove; pod_modes: numbers of modes of the POD with regression; long_scene:
+    scene of the long interactions and its dataset; rounds: timings of each competitor
     """
 
     name: str
     networks: tuple[Network, ...]
-    cnn_lstm: str
-    unet: str
+    main: tuple[Main, ...]
     configurations: tuple[str, ...]
     deployed: tuple[str, ...]
     physics: tuple[Arm, ...]
@@ -87,19 +113,26 @@ class Study:
     stability: Stability
     long_scene: str
     long_data: str
+    order: tuple[Order, ...] = ()
+    paper_latency: dict = field(default_factory=dict)
     prune: tuple[float, ...] = (0.5, 0.8)
-    prune_epochs: tuple[int, int] = (10, 3)
     pod_modes: tuple[int, ...] = (5, 10, 20, 40, 80, 160)
     rounds: int = 200
-    notes: dict = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         names = [network.name for network in self.networks]
         if len(set(names)) < len(names):
             raise InputError("networks: two have the same name; a run's name must be its own")
+        if not self.main:
+            raise InputError("main: there is none; name at least one network in [[main]]")
+        labels = [main.label for main in self.main]
+        if len({LINEAR, *labels}) <= len(labels):
+            raise InputError(
+                f"main: the labels {', '.join(labels)} must differ from each other and from"
+                f" {LINEAR}"
+            )
         used = [
-            self.cnn_lstm,
-            self.unet,
+            *(main.run for main in self.main),
             *self.configurations,
             *self.deployed,
             *self.learning_rate,
@@ -111,17 +144,35 @@ class Study:
                 raise InputError(
                     f"run '{name}' is not among the networks of the study: {', '.join(names)}"
                 )
+        for label in (label for order in self.order for label in (order.better, order.worse)):
+            if label not in (*labels, LINEAR):
+                raise InputError(
+                    f"order: '{label}' is no label of a main network:"
+                    f" {', '.join(labels)} or {LINEAR}"
+                )
 
     @property
-    def folder(self):
+    def folder(self) -> Path:
+        """The study's folder among the runs."""
         return Path("runs") / self.name
 
-    def network(self, name):
+    @property
+    def cache(self) -> Path:
+        """Where its results are kept, see fem.cache."""
+        return cache_root() / self.name
+
+    @property
+    def data(self) -> str:
+        """Path of the study's dataset: that of its first main network."""
+        return self.network(self.main[0].run).data
+
+    def network(self, name: str) -> Settings:
         """The Settings of the run called `name`."""
         return next(network.settings for network in self.networks if network.name == name)
 
 
-def load_study(path, overrides=()):
+def load_study(path: Path | str, overrides: Iterable[str] = ()) -> Study:
+    """The Study in the TOML file at `path`, with ["key=value", ...] laid over it."""
     return config.build(
         Study, config.merge(config.read_toml(path), config.parse_overrides(overrides))
     )

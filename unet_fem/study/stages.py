@@ -1,50 +1,112 @@
 """The measurements of a study, in order. Each leaves its figures as JSON, and one that is there is
-not taken again."""
+not taken again unless what it depends on has changed."""
 
 import importlib
 import json
 import multiprocessing
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
 
+from fem.cache import once
 from fem.errors import InputError
+from unet_fem.study.keys import key
+from unet_fem.study.runs import deployed_runs, run_files, trained_runs
+from unet_fem.study.settings import Study
 
-# name, which is a module of unet_fem.study.measure with run(study): fields of the study that its
-# figures depend on
-STAGES = {
-    "reference": ("fem",),
-    "fixed_latency": ("fem",),
-    "accuracy": ("networks", "deployed", "prune", "pod_modes", "fem"),
-    "time_dependence": ("cnn_lstm", "unet", "window", "long_scene"),
-    "force_range": ("cnn_lstm", "unet", "stability"),
-    "run_time": ("deployed", "prune", "pod_modes", "fem", "rounds"),
+
+@dataclass(frozen=True)
+class Stage:
+    """What the figures of a stage depend on besides the study's dataset.
+
+    fields: of the study; files: those that it reads; uses: stages whose simulations it takes over;
+    version: to be raised when its code gives other figures.
+    """
+
+    fields: tuple[str, ...]
+    files: Callable[[Study], Iterable[Path | str]] = lambda study: ()
+    uses: tuple[str, ...] = ()
+    version: int = 1
+
+
+def _files_of(runs: Iterable[str], study: Study) -> list[Path]:
+    return [path for name in dict.fromkeys(runs) for path in run_files(study.network(name))]
+
+
+def _main_files(study: Study) -> list[Path]:
+    return _files_of((main.run for main in study.main), study)
+
+
+def _window_files(study: Study) -> list[Path | str]:
+    runs = (*(main.run for main in study.main), *study.window)
+    return [study.long_scene, study.long_data, *_files_of(runs, study)]
+
+
+def _all_files(study: Study) -> list[Path]:
+    return [path for settings, _ in trained_runs(study).values() for path in run_files(settings)]
+
+
+def _deployed_files(study: Study) -> list[Path]:
+    return [path for settings, _ in deployed_runs(study).values() for path in run_files(settings)]
+
+
+STAGES = {  # a stage is the module of unet_fem.study.measure with run(study)
+    "reference": Stage(("fem",)),
+    "fixed_latency": Stage(("fem",), uses=("reference",)),
+    "accuracy": Stage(
+        ("networks", "main", "physics", "prune", "pod_modes", "fem"), _all_files, ("reference",)
+    ),
+    "time_dependence": Stage(("networks", "main", "window", "fem"), _window_files),
+    "force_range": Stage(
+        ("networks", "main", "stability", "fem"), _main_files, ("reference", "fixed_latency")
+    ),
+    "run_time": Stage(
+        ("networks", "main", "deployed", "prune", "pod_modes", "fem", "rounds"),
+        _deployed_files,
+        ("reference", "fixed_latency"),
+    ),
 }
 
 
-def run_stage(study, name, again=False, only_read=False):
-    """The figures of stage `name`: read if they are there and were taken with these settings,
-    otherwise measured now."""
-    path = study.folder / f"{name}.json"
-    settings = {field: repr(getattr(study, field)) for field in STAGES[name]}
-    if path.is_file() and not again:
-        try:
-            written = json.loads(path.read_text())
-        except ValueError:
-            raise InputError(f"{path} is damaged; delete it") from None
-        if only_read or written["settings"] == settings:
-            return written["result"]
-    if only_read:
-        raise InputError(f"there is no {path} to draw from; run this command without --draw")
-    print(f"\nmeasuring: {name}", flush=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # a process of its own: TensorFlow's threads, precision and memory are settled once a process
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        result = pool.submit(_run, name, study).result()
-    from fem.files import write_text  # not above: it brings TensorFlow, which reading does not need
+def stage_key(study: Study, name: str) -> str:
+    """Of all that the figures of stage `name` depend on."""
+    stage = STAGES[name]
+    settings = {field: getattr(study, field) for field in stage.fields}
+    if "networks" in settings:  # what their files say now, not the files' names
+        settings["networks"] = [network.settings for network in study.networks]
+    if "main" in settings:  # pruned networks are read from their files
+        settings["main"] = [(main.label, main.run) for main in study.main]
+    versions = [STAGES[used].version for used in (*stage.uses, name)]
+    return key((name, settings), [study.data, *stage.files(study)], versions)
 
-    write_text(
-        path, json.dumps({"settings": settings, "result": result}, indent=1, allow_nan=False)
-    )
-    return result
+
+def run_stage(study: Study, name: str, again: bool = False, only_read: bool = False) -> dict:
+    """The figures of stage `name`: read if they are there and nothing that they depend on has
+    changed, otherwise measured now.
+
+    again: measure in any case; only_read: read what is there, whatever it depends on. Raises
+    InputError where there is nothing to read.
+    """
+    path = study.cache / f"{name}.json"
+    if only_read:
+        if not path.is_file():
+            raise InputError(f"there is no {path} to draw from; run this command without --draw")
+        try:
+            return json.loads(path.read_text())["result"]
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{path} is damaged; delete it") from None
+    if again:
+        path.unlink(missing_ok=True)
+    return once(path, stage_key(study, name), lambda: _apart(study, name))
+
+
+def _apart(study, name):
+    """Stage `name` in a process of its own: TensorFlow's threads, precision and memory are settled
+    once a process."""
+    print(f"\nmeasuring: {name}", flush=True)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_run, name, study).result()
 
 
 def _run(name, study):

@@ -2,19 +2,27 @@
 cells and made-up numbers."""
 
 import json
+from functools import partial
 from types import SimpleNamespace
 
+import keras
 import numpy as np
 import pytest
 
 from fem.data.dataset import open_dataset
 from fem.errors import InputError
-from unet_fem.networks import ridge
+from fem.files import write_text
+from fem.online.regression import RegressionStepper
+from unet_fem.deployment.answers import answers
+from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.files import save_model
 from unet_fem.networks.pod import linear, predict, reduced, truncated
 from unet_fem.study.measure import accuracy, statistics
-from unet_fem.study.regressions import _action
-from unet_fem.study.report import paper_figures
-from unet_fem.training import figures
+from unet_fem.study.measure.judged import judged
+from unet_fem.study.report import bars, sections
+from unet_fem.study.runs import KERAS
+from unet_fem.study.steppers import Competitor, networks
+from unet_fem.training.depth import by_depth
 from unet_fem.training.samples import Samples, load_samples
 
 MASK = np.zeros((3, 3, 2), bool)
@@ -91,30 +99,34 @@ def test_no_force_moves_nothing_and_held_nodes_stay(linear_case):
         assert not predict(model, validation.force)[:, ~MASK].any()
 
 
-def test_a_frame_of_the_timed_action_is_the_answer_to_the_window(linear_case):
+def test_a_regression_as_a_stepper_answers_as_on_whole_windows(linear_case):
     full, _, quadratic, _, validation = linear_case
+    forces = validation.force[:3, 0]
     for model in (full, quadratic):
-        action = _action(model, 2, validation.force[0, 0])
-        action()
-        answer = action()
-        twice = np.stack([validation.force[0, 0]] * 2)[None]
-        np.testing.assert_allclose(answer, predict(model, twice)[0], atol=1e-6)
+        own = Competitor("regression", model.family, partial(RegressionStepper, model))
+        padded = np.concatenate([np.zeros_like(forces[:1]), forces])
+        windows = np.stack([padded[:-1], padded[1:]], axis=1)
+        np.testing.assert_allclose(
+            answers(own.make(), forces[None]), predict(model, windows), atol=1e-6
+        )
 
 
-def test_linear_regression_is_that_of_the_networks(linear_case):
-    from unet_fem.networks.linear import linear_regression
-
-    full, _, _, train, validation = linear_case
-    keras = linear_regression(
-        train.force,
-        train.displacement,
-        MASK,
-        ridge.RIDGES,
-        (validation.force, validation.displacement),
+def test_frame_by_frame_is_the_batched_prediction(tiny_dataset, tmp_path):
+    """Why the accuracy stage may predict in batches."""
+    dataset = open_dataset(tiny_dataset)
+    keras.utils.set_random_seed(0)
+    scale = {"force_scale": 0.05, "displacement_scale": 0.05, "mask": dataset.free}
+    save_model(cnn_lstm(dataset.grid, 4, 2, **scale), tmp_path / "best.keras")
+    settings = SimpleNamespace(
+        name="run", folder=tmp_path, model=SimpleNamespace(kind="cnn_lstm", window=2)
     )
-    np.testing.assert_allclose(
-        predict(full, validation.force), np.asarray(keras(validation.force)), atol=1e-5
-    )
+    samples = load_samples(dataset, "test", 2)
+    batched = accuracy.keras_answer(tmp_path / "best.keras", samples, dataset)
+    competitors = networks(settings, None, dataset)
+    assert list(competitors) == [f"run: {KERAS}", "run: Keras call"]
+    for competitor in competitors.values():
+        one_by_one = answers(competitor.make(), dataset.read("test")["force"])
+        np.testing.assert_allclose(one_by_one, batched, atol=1e-6 * np.abs(batched).max())
 
 
 def test_interval_holds_the_truth_in_about_95_of_100_cases():
@@ -154,6 +166,15 @@ def test_equal_models_differ_by_nothing_and_one_interaction_has_no_interval():
     }
 
 
+def test_a_better_model_has_a_negative_difference_with_an_interval_around_it():
+    truth = np.linspace(1, 2, 30)
+    noise = np.random.default_rng(0).uniform(0.5, 1.5, 30)
+    better = statistics.difference([0.01 * truth * noise], [0.04 * truth * noise], truth)
+    assert better["low"] < better["difference"] < better["high"] < 0
+    single = statistics.difference(np.array([[0.01]]), np.array([[0.04]]), np.array([1.0]))
+    assert single["difference"] == pytest.approx(-0.1) and single["low"] is single["high"] is None
+
+
 def test_seeds_count_by_the_mean_of_their_errors():
     truth = np.ones(10)
     seeds = np.array([0.01 * truth, 0.09 * truth])
@@ -167,7 +188,7 @@ def test_error_by_depth_is_that_of_the_layer(tiny_dataset):
     top = dataset.free.copy()
     top[:, :, :-1] = False
     wrong[:, top] += np.array([0.3, 0.0, 0.4], "float32")
-    found = figures.by_depth(dataset, wrong, truth)
+    found = by_depth(dataset, wrong, truth)
     assert found["depth"][0] == 0 and found["mean_mm"][0] == pytest.approx(0.5, rel=1e-5)
     assert found["mean_mm"][1:] == pytest.approx([0] * (len(found["depth"]) - 1))
 
@@ -176,7 +197,7 @@ def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(tiny_dataset):
     dataset = open_dataset(tiny_dataset)
     samples = load_samples(dataset, "test", None)
     number = int(samples.interaction[0])
-    found = accuracy.judged(
+    found = judged(
         1.1 * samples.displacement, dataset, samples, {number: samples.displacement * 1.2}
     )
     assert found["test"] == pytest.approx(0.1, rel=1e-4) and found["hard"] == pytest.approx(
@@ -186,7 +207,7 @@ def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(tiny_dataset):
     assert np.sqrt(np.divide(*found["reference"][0][1])) == pytest.approx(0.1 / 1.2, rel=1e-4)
     json.dumps(found, allow_nan=False)
     with pytest.raises(InputError, match="not finite"):
-        accuracy.judged(np.full_like(samples.displacement, np.nan), dataset, samples, {})
+        judged(np.full_like(samples.displacement, np.nan), dataset, samples, {})
 
 
 def made_up_accuracy(numbers=12):
@@ -196,12 +217,11 @@ def made_up_accuracy(numbers=12):
     truth, error = rng.uniform(1, 9, numbers), rng.uniform(0.01, 0.03, (2, numbers))
     model = {"violation": [0.01] * numbers, "violation_mean": 0.005, "gate_open": 0.25}
     models = {
-        f"a{n}: {accuracy.KERAS}": model | {"sums": np.stack([error[n] * truth, truth], 1).tolist()}
+        f"a{n}: {KERAS}": model | {"sums": np.stack([error[n] * truth, truth], 1).tolist()}
         for n in range(2)
     }
     models |= {
-        f"b{n}: {accuracy.KERAS}": model
-        | {"sums": np.stack([0.81 * error[n] * truth, truth], 1).tolist()}
+        f"b{n}: {KERAS}": model | {"sums": np.stack([0.81 * error[n] * truth, truth], 1).tolist()}
         for n in range(2)
     }
     runs = {
@@ -250,28 +270,45 @@ def test_the_arms_of_the_volume_term_are_compared_in_pairs():
         and found[0]["validation_gate_open"] is None
     )
     assert statistics.subsets(made_up_accuracy())["strong"].tolist() == [9, 10, 11]
-    figures.plt.close(paper_figures.physics_figure(found))
+    assert len(bars.physics(found, "network").axes) == 3
 
 
-def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset):
-    dataset, source, made = open_dataset(tiny_dataset), tmp_path / "model", []
-    study = SimpleNamespace(folder=tmp_path, fem=SimpleNamespace(reference_safety=0.85))
-    source.write_text("one")
-    for text in ("one", "one", "other"):
-        if source.read_text() != text:
-            source.write_text(text)
-        accuracy._once(study, "name", dataset, source, {}, lambda: made.append(text) or {"x": 1})
-    assert made == ["one", "other"]
+def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset, monkeypatch):
+    """Its threshold of the volume loss is part of what is kept, too."""
+    dataset, judgements = open_dataset(tiny_dataset), []
+    monkeypatch.setattr(accuracy, "keras_answer", lambda *arguments: None)
+    monkeypatch.setattr(accuracy, "keep_field", lambda path, *others: write_text(path, ""))
+    monkeypatch.setattr(
+        accuracy, "judged", lambda *arguments: judgements.append(arguments[-1]) or {"x": 1}
+    )
+    study = SimpleNamespace(
+        cache=tmp_path,
+        fem=SimpleNamespace(reference_safety=0.85),
+        main=[SimpleNamespace(run="run")],
+        physics=[],
+    )
+    source = tmp_path / "best.keras"
+    for text, threshold in (("one", 0.07), ("one", 0.07), ("other", 0.07), ("other", 0.01)):
+        source.write_text(text)
+        settings = SimpleNamespace(
+            name="run",
+            folder=tmp_path,
+            model=SimpleNamespace(window=2),
+            loss=SimpleNamespace(volume_threshold=threshold),
+        )
+        competitor = Competitor("network", "CNN-LSTM", None, run="run", form=KERAS)
+        found = accuracy._network(study, settings, "run", competitor, dataset, None, {})
+        assert found["x"] == 1 and (tmp_path / found["field"]).is_file()
+    assert judgements == [0.07, 0.07, 0.01]
 
 
 def test_fields_side_by_side_show_a_hard_interaction(tiny_dataset):
     dataset = open_dataset(tiny_dataset)
     test = load_samples(dataset, "test", None)
-    figure = paper_figures.side_by_side(
+    figure = sections.side_by_side(
         dataset, test, {"half": 0.5 * test.displacement, "exact": test.displacement}
     )
     titles = [axis.get_title() for axis in figure.axes]
     assert any("relative L2 50 %" in title for title in titles) and any(
         "relative L2 0 %" in title for title in titles
     )
-    figures.plt.close(figure)

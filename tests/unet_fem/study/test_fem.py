@@ -3,7 +3,6 @@
 import json
 import pickle
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,9 +10,13 @@ import pytest
 from fem.data.dataset import open_dataset
 from fem.errors import InputError, SolverStopped
 from fem.files import save_arrays
-from fem.mesh.shapes import box, tumour
+from fem.mesh.shapes import box, refined, tumour
 from fem.solver.frame_loop import SAFETY, LoopSettings, coarse_mesh, longest_step
-from unet_fem.study.measure import fixed_latency, reference
+from unet_fem.deployment.latency import time_steppers
+from unet_fem.study.dataset import frame_forces, frames_between
+from unet_fem.study.measure import fixed_latency, loops, reference, tuning, variants
+from unet_fem.study.measure.run_time import loop_steppers
+from unet_fem.study.measure.sums import relative_l2, sums_of_squares
 from unet_fem.study.settings import Fem
 
 FRAME = 0.05  # s, a quarter of the tiny dataset's interval
@@ -21,17 +24,7 @@ FRAME = 0.05  # s, a quarter of the tiny dataset's interval
 
 def small_study(folder, data, **fem):
     fem = {"interactions": (1,), "steps": (5, 120), "frames": (FRAME,)} | fem
-    return SimpleNamespace(folder=folder, fem=Fem(**fem), cnn_lstm="run", network=DataOf(data))
-
-
-class DataOf(NamedTuple):
-    """A study's `network`, of which only the dataset is asked here; it crosses to the worker
-    processes."""
-
-    data: str
-
-    def __call__(self, name):
-        return self
+    return SimpleNamespace(cache=folder, data=str(data), fem=Fem(**fem))
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +43,7 @@ def truth(study, dataset):
 
 
 def distance(a, b, dataset):
-    return reference.relative_l2({1: reference.sums_of_squares(a, b, dataset)}, [1])
+    return relative_l2({1: sums_of_squares(a, b, dataset)}, [1])
 
 
 def test_reference_stands_still_when_its_step_is_cut_to_a_fifth(study, dataset, truth, tmp_path):
@@ -64,13 +57,17 @@ def test_dataset_is_close_to_the_reference_and_another_interaction_is_not(datase
 
 
 def test_finished_references_are_not_computed_again(study, dataset, truth, monkeypatch):
-    monkeypatch.setattr(reference, "on_all_cores", None)
+    monkeypatch.setattr(variants, "on_all_cores", None)
     np.testing.assert_array_equal(reference.references(study, dataset)[1], truth)
 
 
 def test_an_interaction_whose_reference_stops_is_named_and_left_out(dataset, tmp_path):
     other = small_study(tmp_path, dataset.path)
-    save_arrays(reference._path(other, dataset, "reference", "test", 1), stopped="inverted cell")
+    choice = reference.converged(dataset.scene, other.fem.reference_safety)
+    save_arrays(
+        variants.variant_path(other, dataset, "reference", choice, "test", 1),
+        stopped="inverted cell",
+    )
     result = reference.run(other)
     assert (
         result["stopped"] == [1] and result["numbers"] == [] and result["dataset"]["test"] is None
@@ -81,31 +78,31 @@ def test_an_interaction_whose_reference_stops_is_named_and_left_out(dataset, tmp
 
 def test_refined_mesh_keeps_shape_fixed_nodes_and_every_second_node():
     coarse = tumour()
-    fine = reference.refined(coarse)
+    fine = refined(coarse)
     assert fine.n_cells == 8 * coarse.n_cells and np.isclose(fine.volume(), coarse.volume())
     np.testing.assert_allclose(
-        fine.grid.to_grid(fine.points)[::2, ::2, ::2], coarse.grid.to_grid(coarse.points), atol=1e-12
+        fine.grid.to_grid(fine.points)[::2, ::2, ::2],
+        coarse.grid.to_grid(coarse.points),
+        atol=1e-12,
     )
     at_old_nodes = fine.grid.to_grid(fine.fixed[:, None])[::2, ::2, ::2, 0]
     np.testing.assert_array_equal(at_old_nodes, coarse.grid.to_grid(coarse.fixed[:, None])[..., 0])
 
 
 def test_frames_bring_the_forces_of_the_dataset_bit_for_bit(dataset):
-    forces = fixed_latency.frame_forces(dataset, "test", 1, FRAME)
+    forces = frame_forces(dataset, "test", 1, FRAME)
     np.testing.assert_array_equal(forces[3::4], dataset.read("test")["force"][0, 1:])
 
 
 def test_frames_must_divide_the_interval_of_the_dataset(dataset):
     with pytest.raises(InputError, match="0.15 s, which does not divide the 0.2 s"):
-        fixed_latency.frames_between(dataset.scene, 0.15)
+        frames_between(dataset.scene, 0.15)
 
 
 def test_error_falls_to_that_of_the_ramped_load_as_steps_grow(study, dataset, truth):
     competitor = lambda steps: LoopSettings("full", False, FRAME, steps, damping=0.1)  # noqa: E731
-    verdicts = [
-        fixed_latency.judge(study, dataset, competitor(steps), "test", 1) for steps in (5, 20, 120)
-    ]
-    errors = [reference.relative_l2({1: verdict["sums"]}, [1]) for verdict in verdicts]
+    verdicts = [loops.judge(study, dataset, competitor(steps), "test", 1) for steps in (5, 20, 120)]
+    errors = [relative_l2({1: verdict["sums"]}, [1]) for verdict in verdicts]
     assert errors[0] > 1.5 * errors[1] > 1.5 * errors[2] and errors[2] < 0.02
     assert (
         verdicts[0]["mass_scaling"] > verdicts[1]["mass_scaling"] > verdicts[2]["mass_scaling"] == 1
@@ -114,7 +111,7 @@ def test_error_falls_to_that_of_the_ramped_load_as_steps_grow(study, dataset, tr
 
 def test_mass_scaling_makes_the_steps_of_a_frame_just_stable(dataset):
     competitor = LoopSettings("reduced", False, FRAME, 5)
-    loop = fixed_latency.frame_loop(dataset, competitor)
+    loop = loops.loop(dataset, competitor)
     assert np.isclose(SAFETY * loop.solver.critical_step, FRAME / 5, rtol=1e-2)
     assert np.isclose(
         np.sqrt(loop.mass_scaling),
@@ -124,35 +121,35 @@ def test_mass_scaling_makes_the_steps_of_a_frame_just_stable(dataset):
 
 def test_a_frame_action_is_the_loop_that_was_judged(study, dataset, truth):
     competitor = LoopSettings("reduced", True, FRAME, 5)
-    verdict = fixed_latency.judge(study, dataset, competitor, "test", 1)
-    loop, answer = fixed_latency.frame_loop(dataset, competitor), np.zeros_like(truth)
-    for k, force in enumerate(fixed_latency.frame_forces(dataset, "test", 1, FRAME), 1):
+    verdict = loops.judge(study, dataset, competitor, "test", 1)
+    loop, answer = loops.loop(dataset, competitor), np.zeros_like(truth)
+    for k, force in enumerate(frame_forces(dataset, "test", 1, FRAME), 1):
         answer[-(-k // 4)] = loop.step(force)  # the last of every four stays
-    assert reference.sums_of_squares(answer, truth, dataset) == verdict["sums"]
+    assert sums_of_squares(answer, truth, dataset) == verdict["sums"]
 
 
-def test_a_player_goes_on_for_ever_and_does_not_creep_from_round_to_round(dataset):
-    loop, forces = (
-        fixed_latency.frame_loop(dataset, LoopSettings("full", False, FRAME, 5)),
-        fixed_latency.frame_forces(dataset, "test", 1, FRAME),
-    )
-    answer, peaks = fixed_latency.player(loop, forces), []
-    for _ in range(4):
-        seen = []
-        for _ in range(2 * len(forces)):
-            answer()
-            seen.append(np.abs(loop.solver.u).max())
-        peaks.append(max(seen))
+def test_a_timed_loop_goes_on_for_ever_and_does_not_creep_from_round_to_round(dataset):
+    stepper = loops.loop(dataset, LoopSettings("full", False, FRAME, 5))
+    forces, seen, step = frame_forces(dataset, "test", 1, FRAME), [], stepper.step
+
+    def recorded(force):
+        seen.append(np.abs(answer := step(force)).max())
+        return answer
+
+    stepper.step = recorded
+    rounds = 4 * 2 * len(forces)  # four times to and fro
+    time_steppers({"loop": stepper}, {"loop": forces}, rounds, warm_up=0)
+    peaks = np.reshape(seen, (4, -1)).max(axis=1)
     assert np.ptp(peaks[1:]) < 1e-3 * peaks[0]
 
 
 def test_a_run_that_stops_is_named_and_is_no_number(study, dataset, truth, monkeypatch):
-    forces = 40 * fixed_latency.frame_forces(dataset, "test", 1, FRAME)
-    monkeypatch.setattr(fixed_latency, "frame_forces", lambda *_: forces)
+    forces = 40 * frame_forces(dataset, "test", 1, FRAME)
+    monkeypatch.setattr(loops, "frame_forces", lambda *_: forces)
     competitor = LoopSettings("full", False, FRAME, 7)
-    verdict = fixed_latency.judge(study, dataset, competitor, "test", 1)
+    verdict = loops.judge(study, dataset, competitor, "test", 1)
     assert verdict["stopped"] in ("crushed cell", "diverged") and "sums" not in verdict
-    point = fixed_latency._point(competitor, {1: verdict}, study, dataset)
+    point = fixed_latency.point(competitor, {1: verdict}, study, dataset)
     assert point["test"] is None and point["stopped"][0]["number"] == 1
 
 
@@ -192,7 +189,8 @@ def test_the_reference_is_closer_to_half_its_step_than_to_a_finer_mesh(study, da
     )
 
 
-def test_every_tuned_competitor_is_judged_and_has_an_action(study, dataset, truth):
+@pytest.mark.slow
+def test_every_tuned_loop_is_judged_and_can_be_timed(study, dataset, truth):
     result = json.loads(json.dumps(fixed_latency.run(study), allow_nan=False))
     points = result["points"]
     assert {(p["element"], p["coarse"]) for p in points} >= {
@@ -204,16 +202,16 @@ def test_every_tuned_competitor_is_judged_and_has_an_action(study, dataset, trut
         assert (
             point["test"] == point["hard"] == pytest.approx(np.sqrt(np.divide(*point["sums"]["1"])))
         )
-    begin = fixed_latency._score(
+    begin = tuning.score(
         study, dataset, LoopSettings("full", False, FRAME, 5, damping=0.1, rise=0.5)
     )
-    end = fixed_latency._score(
+    end = tuning.score(
         study,
         dataset,
         LoopSettings("full", False, FRAME, 5, damping=points[0]["damping"], rise=points[0]["rise"]),
     )
     assert end <= begin  # tuning never ends worse than it began
-    actions = fixed_latency.frame_actions(study, dataset)
-    assert set(actions) == {p["name"] for p in points}
-    for action in actions.values():
-        action()
+    steppers = loop_steppers(study, dataset)
+    assert set(steppers) == {p["name"] for p in points}
+    force = frame_forces(dataset, "test", 1, FRAME)[-1]
+    assert all(np.abs(stepper.step(force)).max() > 0 for stepper in steppers.values())

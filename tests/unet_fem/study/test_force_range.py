@@ -11,17 +11,20 @@ import pytest
 
 from fem.data.dataset import open_dataset
 from fem.errors import SolverStopped
+from fem.online.grid import NodeGrid
+from fem.online.window import WindowStepper
 from fem.solver.frame_loop import LoopSettings
-from unet_fem.study.measure import force_range
-from unet_fem.study.measure.fixed_latency import loop_name
-from unet_fem.study.measure.force_range import (
+from unet_fem.study.measure import force_range, multiplied
+from unet_fem.study.measure.force_range import run
+from unet_fem.study.measure.loops import loop_name
+from unet_fem.study.measure.multiplied import (
     frames,
-    run,
     simulate_loop,
     simulate_offline,
     simulated,
 )
 from unet_fem.study.report.force_range import draw
+from unet_fem.study.steppers import Competitor
 
 
 @pytest.fixture(scope="module")
@@ -115,22 +118,34 @@ def judged(dataset, monkeypatch):
         0.2 * dataset.points * dataset.free[..., None]
     )  # the bottom and sides stay, the inside and the top leave
     networks = {
-        "5 % off": lambda force: scale(dataset, force, own, 1.05),
-        "out of band": lambda force: scale(dataset, force, own, 1.0) + blown_up.astype("float32"),
+        "5 % off": lambda force: scale(force, own, 1.05),
+        "out of band": lambda force: scale(force, own, 1.0) + blown_up.astype("float32"),
     }
+    shown = {name: of_one_force(dataset, answer) for name, answer in networks.items()}
     monkeypatch.setattr(force_range, "study_dataset", lambda study: dataset)
     monkeypatch.setattr(force_range, "simulated", parts)
     monkeypatch.setattr(force_range, "real_time", lambda study, dataset: LOOP)
-    monkeypatch.setattr(force_range, "network_functions", lambda study, dataset: networks)
+    monkeypatch.setattr(force_range, "shown_competitors", lambda study, dataset: shown)
     return run(study)
 
 
-def scale(dataset, force, own, by):
+def of_one_force(dataset, answer):
+    """A competitor whose stepper gives answer(force (nx, ny, nz, 3))."""
+    grid = NodeGrid(dataset.grid, np.arange(dataset.mask.size))
+    interval = dataset.scene.frames.interval
+    return Competitor(
+        "network",
+        "made up",
+        lambda: WindowStepper(lambda force: answer(force[0])[None], grid, None, interval),
+    )
+
+
+def scale(force, own, by):
     """`by` times the truth of the force field `force`, found among the training data."""
-    for i in range(2):
+    for i, frame in np.ndindex(own["force"].shape[:2]):
         for factor in (1.0, 2.0):
-            if np.array_equal(force, factor * own["force"][i]):
-                return (by * factor * own["displacement"][i]).astype("float32")
+            if np.array_equal(force, factor * own["force"][i, frame]):
+                return (by * factor * own["displacement"][i, frame]).astype("float32")
 
 
 def test_tables_tell_error_stops_and_forces_beyond_training(judged):
@@ -173,12 +188,12 @@ def test_drawing_has_a_panel_for_each_competitor_and_not_for_the_truth(judged):
 
 def test_simulated_runs_are_kept(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        force_range,
+        multiplied,
         "on_all_cores",
         lambda function, tasks, title: [function(*task) for task in tasks],
     )
     study = SimpleNamespace(
-        folder=tmp_path, stability=SimpleNamespace(interactions=(1,), factors=(0.5,))
+        cache=tmp_path, stability=SimpleNamespace(interactions=(1,), factors=(0.5,))
     )
     ((which, (force, answers, reasons)),) = simulated(study, dataset, LOOP)
     np.testing.assert_array_equal(force, 0.5 * dataset.read("test")["force"][0])
@@ -188,7 +203,7 @@ def test_simulated_runs_are_kept(dataset, tmp_path, monkeypatch):
         loop_name(LOOP),
     }
     monkeypatch.setattr(
-        force_range, "on_all_cores", lambda *arguments: pytest.fail("simulated again")
+        multiplied, "on_all_cores", lambda *arguments: pytest.fail("simulated again")
     )
     ((_, (_, again, _)),) = simulated(study, dataset, LOOP)
     np.testing.assert_array_equal(answers["truth"], again["truth"])

@@ -38,6 +38,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_one_command_makes_the_page_and_the_next_one_uses_what_is_there(folder):
     first = report(folder, "--quick")
     assert first.returncode == 0, first.stdout[-3000:] + first.stderr[-3000:]
@@ -75,7 +76,28 @@ def test_what_it_cannot_do_is_one_line_with_the_remedy(folder):
 
 def test_a_study_names_only_its_own_networks():
     with pytest.raises(InputError, match="run 'other' is not among the networks"):
-        load_study(ROOT / "configs/study_quick.toml", ["cnn_lstm=other"])
+        load_study(
+            ROOT / "configs/study_quick.toml",
+            ['main=[{label = "other", run = "other"}]', "order=[]"],
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "remedy"),
+    [
+        ("main=[]", "name at least one network"),
+        (
+            'main=[{label = "A", run = "tiny"}, {label = "A", run = "tiny_unet"}]',
+            "must differ from each other",
+        ),
+        ('main=[{label = "linear regression", run = "tiny"}]', "and from linear regression"),
+        ('order=[{better = "CNN-LSTM", worse = "ResNet", gain = 0.3}]', "'ResNet' is no label"),
+        ('cnn_lstm="tiny"', "unknown key 'cnn_lstm'"),
+    ],
+)
+def test_a_study_that_cannot_be_is_refused(change, remedy):
+    with pytest.raises(InputError, match=remedy):
+        load_study(ROOT / "configs/study_quick.toml", [change])
 
 
 def test_every_network_of_the_shipped_studies_has_valid_settings(monkeypatch):
@@ -105,9 +127,13 @@ def test_the_fem_at_equal_error_and_in_equal_time():
         "FEM 1": (2.0, 0.15),
         "FEM 9": (4.0, 0.01),
     }
-    family = {"linear": "linear", "FEM 1": "FEM, full", "FEM 9": "FEM, full"}
     headlines = {
-        name: {"family": family.get(name, "network"), "headline": {"test": error, "hard": error}}
+        name: {
+            "kind": "network" if ":" in name else "regression",
+            "family": "any",
+            "run": name.split(":")[0] if ":" in name else None,
+            "headline": {"test": error, "hard": error},
+        }
         for name, (_, error) in known.items()
     }
     fem = [
@@ -128,7 +154,8 @@ def test_the_fem_at_equal_error_and_in_equal_time():
         },
         "fixed_latency": {"points": fem},
     }
-    study = SimpleNamespace(fem=SimpleNamespace(frames=(0.25,)), cnn_lstm="net", unet="unet")
+    mains = [SimpleNamespace(run=run) for run in ("net", "unet")]
+    study = SimpleNamespace(fem=SimpleNamespace(frames=(0.25,)), main=mains)
     rows = {row["own"]["name"]: row for row in against_fem(study, results)}
     assert set(rows) == {"linear", "net: int8", "unet: int8"}
     net, unet = rows["net: int8"], rows["unet: int8"]

@@ -16,12 +16,15 @@ from fem.data.dataset import open_dataset
 from fem.data.scene import Scene
 from fem.errors import InputError, SolverStopped
 from unet_fem.networks.cnn_lstm import cnn_lstm
+from unet_fem.networks.files import save_model
 from unet_fem.networks.unet import unet
-from unet_fem.study.measure import time_dependence as measure
-from unet_fem.study.measure.time_dependence import difference, elastic_answers, judge, run
+from unet_fem.study import dataset as interactions
+from unet_fem.study.measure import elastic as measure
+from unet_fem.study.measure.creep import judge
+from unet_fem.study.measure.elastic import elastic_answers
+from unet_fem.study.measure.time_dependence import run
 from unet_fem.study.report.time_dependence import draw
-from unet_fem.study.settings import Arm, Fem, Network, Stability, Study
-from unet_fem.training.checkpoint import save_model
+from unet_fem.study.settings import Arm, Fem, Main, Network, Stability, Study
 
 
 @pytest.fixture
@@ -100,19 +103,6 @@ def test_errors_of_size_without_order_are_between_the_bounds(made_up):
     assert found["along"] == pytest.approx(1) and found["common"] < 0.5
 
 
-def test_difference_of_windows_has_the_right_sign_and_an_interval_around_it():
-    truth = np.linspace(1, 2, 30)
-    noise = np.random.default_rng(0).uniform(0.5, 1.5, 30)
-    better = difference(0.04 * truth * noise, 0.01 * truth * noise, truth)
-    assert better["low"] < better["difference"] < better["high"] < 0
-    assert difference(truth, truth, truth) == {"difference": 0.0, "low": 0.0, "high": 0.0}
-    assert difference([0.04], [0.01], [1.0]) == {
-        "difference": pytest.approx(-0.1),
-        "low": None,
-        "high": None,
-    }
-
-
 @pytest.fixture
 def study(tiny, tiny_dataset, tmp_path, monkeypatch):
     """A study of untrained networks on the tiny scene, its files in a folder of its own."""
@@ -120,7 +110,8 @@ def study(tiny, tiny_dataset, tmp_path, monkeypatch):
     (tmp_path / "scene.toml").write_text(config.dump_toml(tiny))
     shutil.copy(tiny_dataset, "tiny.h5")
     (tmp_path / "run.toml").write_text(
-        'name = "run"\nscene = "scene.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\n[train]\nepochs = 1\n'
+        'name = "run"\nscene = "scene.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\n'
+        "[train]\nepochs = 1\n"
     )
     dataset = open_dataset("tiny.h5")
     keras.utils.set_random_seed(0)
@@ -141,8 +132,7 @@ def study(tiny, tiny_dataset, tmp_path, monkeypatch):
     return Study(
         name="study",
         networks=networks,
-        cnn_lstm="lstm",
-        unet="unet",
+        main=(Main("CNN-LSTM", "lstm"), Main("U-Net", "unet")),
         configurations=("lstm",),
         deployed=("lstm",),
         physics=(Arm("a", ("lstm",)),),
@@ -177,7 +167,7 @@ def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
             < 0.2
             < part["answers"]["unet"]["overall"]["relative_l2"]
         )
-    kept = {path: path.stat().st_mtime_ns for path in (study.folder / "elastic").iterdir()}
+    kept = {path: path.stat().st_mtime_ns for path in (study.cache / "elastic").iterdir()}
     assert len(kept) == 1
     elastic_answers(study, open_dataset("tiny.h5"), [1])
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
@@ -188,12 +178,12 @@ def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
 def test_interaction_that_the_elastic_tissue_cannot_bear_is_left_out_and_named(
     tiny_dataset, tmp_path, monkeypatch
 ):
-    dataset, study = open_dataset(tiny_dataset), SimpleNamespace(folder=tmp_path)
+    dataset, study = open_dataset(tiny_dataset), SimpleNamespace(cache=tmp_path)
 
     def stop(*arguments):
         raise SolverStopped("inverted cell", "turned inside out")
 
-    monkeypatch.setattr(measure, "simulate", stop)
+    monkeypatch.setattr(interactions, "simulate", stop)
     monkeypatch.setattr(
         measure, "on_all_cores", lambda function, tasks, title: [function(*task) for task in tasks]
     )
@@ -201,7 +191,7 @@ def test_interaction_that_the_elastic_tissue_cannot_bear_is_left_out_and_named(
         InputError, match="stops in every test interaction of .*tiny.h5; lower contact.force"
     ):
         elastic_answers(study, dataset, [1])
-    (path,) = (study.folder / "elastic").iterdir()
+    (path,) = (study.cache / "elastic").iterdir()
     assert str(np.load(path)["stopped"]) == "inverted cell"
 
 

@@ -6,31 +6,32 @@ gives the truth, as far as it goes; a competitor holds where its relative L2 err
 TOLERANCE and its volume within the paper's band.
 """
 
-import hashlib
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from fem.contact.push import Load
-from fem.contact.surface import Surface
-from fem.data.interaction import contacts_of, simulate_frames
-from fem.errors import SolverStopped
-from fem.files import save_arrays
-from fem.solver.energy import EnergyLedger
-from fem.workers import on_all_cores
-from unet_fem.study.measure.fixed_latency import (
-    frame_forces,
-    frame_loop,
-    frames_between,
-    loop_name,
-    tuned,
+from fem.data.dataset import Dataset
+from fem.online.volume import VOLUME_BAND
+from fem.solver.frame_loop import LoopSettings
+from unet_fem.deployment.answers import answers as frame_by_frame
+from unet_fem.runtime.surrogate import force_size
+from unet_fem.study.dataset import study_dataset
+from unet_fem.study.measure.judged import volumes
+from unet_fem.study.measure.multiplied import simulated
+from unet_fem.study.measure.tuning import tuned
+from unet_fem.study.runs import KERAS
+from unet_fem.study.settings import LINEAR, Study
+from unet_fem.study.steppers import (
+    Competitor,
+    linear_name,
+    linear_regressions,
+    networks,
 )
-from unet_fem.study.measure.reference import study_dataset
 
 TOLERANCE = 0.10  # relative L2
 
 
-def run(study):
+def run(study: Study) -> dict:
     """How far every competitor is from the truth, over force factor and time.
 
     Returns {"factors", "time": s, "interactions": numbers, "tolerance", "band", "alive":
@@ -42,29 +43,18 @@ def run(study):
     competitor has stopped; volume, the largest |V / V_rest - 1| (also of "truth"), None where none
     is alive; stopped, runs of the competitor that have.
     """
-    from unet_fem.runtime.surrogate import VOLUME_BAND, force_size
-    from unet_fem.training.losses import deformed_volume
-
     dataset = study_dataset(study)
-    parts, networks = (
-        simulated(study, dataset, real_time(study, dataset)),
-        network_functions(study, dataset),
-    )
-    largest, rest = force_size(dataset.read("train")["force"]), dataset.rest_volume
+    parts = simulated(study, dataset, real_time(study, dataset))
+    steppers = {name: own.make() for name, own in shown_competitors(study, dataset).items()}
+    largest = np.array(force_size(dataset.read("train")["force"]))
     factors = list(study.stability.factors)
-    shape = len(factors), len(dataset.time)
-    alive, flag, size = np.zeros(shape, int), np.zeros(shape), np.zeros(shape)
-    squared, volume, stopped, stops = {}, {}, {}, []
+    count = len(study.stability.interactions)
+    tables = Tables((len(factors), len(dataset.time)), dataset)
+    flag, stops = np.zeros(tables.shape), []
     for (number, factor), (force, answers, reasons) in parts:
         print(f"judging interaction {number}, forces x {factor:g}", flush=True)
         row = factors.index(factor)
-        truth = answers["truth"][:, dataset.free].astype(float)
-        here = len(truth)  # frames that the truth reaches
-        alive[row, :here] += 1
-        size[row, :here] += np.square(truth).sum(axis=(1, 2))
-        flag[row] += [
-            np.any(np.array(force_size(field)) > 1.00001 * np.array(largest)) for field in force
-        ]
+        flag[row] += [np.any(np.array(force_size(field)) > 1.00001 * largest) for field in force]
         stops += [
             {
                 "what": name,
@@ -76,207 +66,94 @@ def run(study):
             for name, reason in reasons.items()
             if reason
         ]
-        for name, answer in (
-            answers | {name: network(force) for name, network in networks.items()}
-        ).items():
-            answer = answer[:here]  # what comes after the truth has stopped cannot be judged
-            tables = [
-                store.setdefault(name, np.zeros(shape)) for store in (squared, volume, stopped)
-            ]
-            reached = len(answer)
-            tables[0][row, :reached] += np.square(answer[:, dataset.free] - truth[:reached]).sum(
-                axis=(1, 2)
-            )
-            change = np.abs(np.asarray(deformed_volume(answer, *dataset.surface), float) / rest - 1)
-            tables[1][row, :reached] = np.maximum(tables[1][row, :reached], change)
-            tables[2][row, reached:here] += 1
-    competitors = {
-        name: {
-            "relative_l2": table(
-                np.sqrt(squared[name] / np.where(size > 0, size, 1)),
-                (size > 0) & (stopped[name] == 0),
-            ),
-            "volume": table(volume[name], (alive > 0) & (stopped[name] == 0)),
-            "stopped": stopped[name].astype(int).tolist(),
-        }
-        for name in squared
-    }
+        learned = {name: frame_by_frame(own, force[None]) for name, own in steppers.items()}
+        tables.add(row, answers | learned)
     return {
         "factors": factors,
         "time": dataset.time.tolist(),
         "interactions": list(study.stability.interactions),
         "tolerance": TOLERANCE,
         "band": VOLUME_BAND,
-        "alive": alive.tolist(),
-        "flag": (flag / len(study.stability.interactions)).tolist(),
+        "alive": tables.alive.tolist(),
+        "flag": (flag / count).tolist(),
         "stops": stops,
-        "competitors": competitors,
+        "competitors": tables.results(),
     }
 
 
-def real_time(study, dataset):
-    """The LoopSettings that stands for the FEM in real time: of the tuned loops of full elements at
-    the shortest frame, that of fewest steps."""
-    found = [
-        c
-        for c in tuned(study, dataset)[0]
-        if c.element == "full" and not c.coarse and c.frame == min(study.fem.frames)
-    ]
-    return min(found, key=lambda c: c.steps)
+@dataclass
+class Tables:
+    """Sums over interactions, each (factors, frames)."""
 
+    shape: tuple[int, int]
+    dataset: Dataset
+    squared: dict[str, np.ndarray] = field(default_factory=dict)
+    volume: dict[str, np.ndarray] = field(default_factory=dict)
+    stopped: dict[str, np.ndarray] = field(default_factory=dict)
 
-def table(values, known):
-    return np.where(known, values, None).tolist()
+    def __post_init__(self) -> None:
+        self.alive, self.size = np.zeros(self.shape, int), np.zeros(self.shape)
+        self.rest = self.dataset.rest_volume
 
-
-def simulated(study, dataset, loop):
-    """The FEM's answers: an iterator of ((number, factor), (force, {name: field}, {name: why it
-    stopped, or ""})).
-
-    force and fields (frames, nx, ny, nz, 3) in mN and mm; a field ends before the frame that its
-    run did not reach. loop: the LoopSettings that is the FEM in real time. Computed in parallel where
-    they are missing, and kept in the study's folder.
-    """
-    which = [
-        (number, factor)
-        for number in study.stability.interactions
-        for factor in study.stability.factors
-    ]
-    key = hashlib.sha256(repr(loop).encode()).hexdigest()[:8]
-    places = {}
-    for kind in ("offline", f"loop-{key}"):
-        places[kind] = [
-            study.folder / "stability" / f"{dataset.scene.digest()}-{kind}-{n:04d}-x{factor:g}.npz"
-            for n, factor in which
-        ]
-    for (kind, paths), function, settings in zip(
-        places.items(), (simulate_offline, simulate_loop), ((), (loop,))
-    ):
-        missing = [
-            (dataset, *pair, *settings, path)
-            for pair, path in zip(which, paths)
-            if not path.is_file()
-        ]
-        if missing:
-            on_all_cores(function, missing, f"multiplied forces, {kind}")
-    for (number, factor), *paths in zip(which, *places.values()):
-        answers, reasons = {}, {}
-        for path in paths:
-            with np.load(path) as file:
-                for name in file.files:
-                    kind, _, stopped = name.partition(":")
-                    (reasons if stopped else answers)[kind] = (
-                        str(file[name]) if stopped else file[name]
-                    )
-        yield (number, factor), (factor * force_of(dataset, number), answers, reasons)
-
-
-def force_of(dataset, number):
-    """(frames, nx, ny, nz, 3) mN: the forces of a test interaction on the grid."""
-    own = dataset.sequence("test", number)
-    return dataset.on_grid(own.force, own.displacement)[0]
-
-
-def simulate_offline(dataset, number, factor, path):
-    """Write test interaction `number` at `factor` times its forces to `path`, by the dataset's
-    solver under its rules of health.
-
-    The answers: "truth", and "elastic FEM", the same without Prony terms.
-    """
-    scene, mesh, times = dataset.scene, dataset.fem_mesh, dataset.time
-    force = dataset.sequence("test", number).force
-    load = Load(
-        Surface(mesh),
-        [
-            replace(contact, peak=factor * contact.peak)
-            for contact in contacts_of(dataset, "test", number)
-        ],
-    )
-
-    def stepper(scene):
-        ledger = EnergyLedger()
-        answers = simulate_frames(scene.build_solver(mesh), load, times[1:], [ledger])
-
-        def step(frame):
-            answer = next(answers).displacement
-            if ledger.smallest_J < scene.health.min_J:
-                raise SolverStopped(
-                    "crushed cell", f"a cell is crushed to J = {ledger.smallest_J:.3g}"
-                )
-            return dataset.on_grid(force[frame], answer)[1]
-
-        return step
-
-    elastic = replace(scene, material=replace(scene.material, prony=()))
-    save_frames(path, {"truth": stepper(scene), "elastic FEM": stepper(elastic)}, dataset)
-
-
-def simulate_loop(dataset, number, factor, competitor, path):
-    """Write the same by the FEM in real time, which takes its few steps for the force that comes
-    every frame of its own."""
-    loop, forces = (
-        frame_loop(dataset, competitor),
-        factor * frame_forces(dataset, "test", number, competitor.frame),
-    )
-    calls = frames_between(dataset.scene, competitor.frame)
-
-    def step(frame):
-        for force in forces[(frame - 1) * calls : frame * calls]:
-            answer = loop.step(force)
-        return answer
-
-    save_frames(path, {loop_name(competitor): step}, dataset)
-
-
-def save_frames(path, steps, dataset):
-    """Write what `frames` makes of {name: step} to `path`."""
-    arrays = {}
-    for name, step in steps.items():
-        arrays[name], arrays[f"{name}:stopped"] = frames(
-            step, (len(dataset.time), *dataset.grid, 3)
-        )
-    save_arrays(path, **arrays)
-
-
-def frames(step, shape):
-    """(fields (frames reached, nx, ny, nz, 3), reason or ""): step(frame) from rest, until it stops
-    or gives no finite field.
-
-    shape: of all frames.
-    """
-    fields = [np.zeros(shape[1:], np.float32)]
-    for frame in range(1, shape[0]):
-        try:
-            field = step(frame)
-        except SolverStopped as stop:
-            return np.array(fields), stop.reason
-        if not np.isfinite(field).all():
-            return np.array(fields), "not finite"
-        fields.append(field)
-    return np.array(fields), ""
-
-
-def network_functions(study, dataset):
-    """{name: force (frames, nx, ny, nz, 3) mN -> displacement of the same shape, mm}: the deployed
-    networks and linear regression."""
-    from unet_fem.deployment.answers import answers as lite_answers
-    from unet_fem.training.checkpoint import load_model
-    from unet_fem.training.regressions import linear_regression
-    from unet_fem.training.samples import windows
-
-    def whole(model, steps):
-        return lambda force: np.asarray(model(windows(force[None], steps)))
-
-    functions = {}
-    for name, run in (("CNN-LSTM", study.cnn_lstm), ("U-Net", study.unet)):
-        settings = study.network(run)
-        if not functions:
-            functions["linear regression"] = whole(
-                linear_regression(settings), settings.model.window
+    def add(self, row: int, answers: dict[str, np.ndarray]) -> None:
+        """Take in the answers to one interaction, "truth" among them, at the factor of `row`."""
+        free = self.dataset.free
+        truth = answers["truth"][:, free].astype(float)
+        here = len(truth)  # frames that the truth reaches
+        self.alive[row, :here] += 1
+        self.size[row, :here] += np.square(truth).sum(axis=(1, 2))
+        for name, answer in answers.items():
+            answer = answer[:here]  # what comes after the truth has stopped cannot be judged
+            squared, volume, stopped = (
+                store.setdefault(name, np.zeros(self.shape))
+                for store in (self.squared, self.volume, self.stopped)
             )
-        functions[name] = whole(
-            load_model(settings.folder / "best.keras"), settings.model.window
-        )
-        if (lite := settings.folder / "lite/int8.tflite").is_file():
-            functions[f"{name}, int8"] = lambda force, path=lite: lite_answers(path, force[None])
-    return functions
+            reached = len(answer)
+            error = np.square(answer[:, free] - truth[:reached]).sum(axis=(1, 2))
+            squared[row, :reached] += error
+            change = np.abs(volumes(self.dataset, answer) / self.rest - 1)
+            volume[row, :reached] = np.maximum(volume[row, :reached], change)
+            stopped[row, reached:here] += 1
+
+    def results(self) -> dict[str, dict]:
+        """{name: {"relative_l2", "volume", "stopped"}} as `run` gives them."""
+        moving, size = self.size > 0, np.where(self.size > 0, self.size, 1)
+        found = {}
+        for name, squared in self.squared.items():
+            going = self.stopped[name] == 0
+            found[name] = {
+                "relative_l2": _known(np.sqrt(squared / size), moving & going),
+                "volume": _known(self.volume[name], (self.alive > 0) & going),
+                "stopped": self.stopped[name].astype(int).tolist(),
+            }
+        return found
+
+
+def real_time(study: Study, dataset: Dataset) -> LoopSettings:
+    """The loop that stands for the FEM in real time: of the tuned loops of full elements at the
+    shortest frame, that of fewest steps."""
+    found = [
+        settings
+        for settings in tuned(study, dataset)[0]
+        if settings.element == "full"
+        and not settings.coarse
+        and settings.frame == min(study.fem.frames)
+    ]
+    return min(found, key=lambda settings: settings.steps)
+
+
+def shown_competitors(study: Study, dataset: Dataset) -> dict[str, Competitor]:
+    """{label: Competitor}: linear regression on the forces that the first main network sees, and
+    the main networks, each also in int8 where it is exported."""
+    window = study.network(study.main[0].run).model.window
+    shown = {LINEAR: linear_regressions(dataset, [window])[linear_name(window)]}
+    for main in study.main:
+        forms = networks(study.network(main.run), None, dataset)
+        shown[main.label] = forms[f"{main.run}: {KERAS}"]
+        if f"{main.run}: int8" in forms:
+            shown[f"{main.label}, int8"] = forms[f"{main.run}: int8"]
+    return shown
+
+
+def _known(values, known):
+    return np.where(known, values, None).tolist()

@@ -1,51 +1,38 @@
 """Error against run time: the points of every competitor, which of them no other beats, and what
 they cost."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from unet_fem.training import figures  # noqa: F401, its style
+from unet_fem.study.settings import Study
 
 
-def points(results, frame):
-    """[{"name", "family", "seconds", "test", "hard"}] of every competitor that was timed and
-    judged, for frames of `frame` s.
+def points(results: dict, frame: float) -> list[dict]:
+    """[{"name", "kind", "family", "run", "seconds", "test", "hard"}] of every competitor that was
+    timed and judged, for frames of `frame` s.
 
     Errors are relative L2 against the converged reference on the interactions of the headline. A
     network or a regression answers a frame of any length in the same time; the FEM's steps a frame
     make it a competitor of its own for each length.
     """
     seconds = results["run_time"]["seconds"]
-    models = results["accuracy"]["models"]
-    called = {
-        name.replace(": tf.function", ": Keras call"): model
-        for name, model in models.items()
-        if name.endswith(": tf.function")
-    }
-    found = [
-        {
-            "name": name,
-            "family": model["family"],
-            "test": model["headline"]["test"],
-            "hard": model["headline"]["hard"],
-        }
-        for name, model in (models | called).items()
-        if name in seconds
-    ]
+    found = []
+    for name, model in results["accuracy"]["models"].items():
+        about = {key: model[key] for key in ("kind", "family", "run")}
+        for timed in (name, name.replace(": tf.function", ": Keras call")):  # of equal answers
+            found.append({"name": timed} | about | model["headline"])
     for point in results["fixed_latency"]["points"]:
         if np.isclose(point["frame"], frame) and not point["stopped"]:
             family = "FEM, coarse" if point["coarse"] else f"FEM, {point['element']}"
-            found.append(
-                {
-                    "name": point["name"],
-                    "family": family,
-                    "test": point["test"],
-                    "hard": point["hard"],
-                }
-            )
-    return [point | {"seconds": seconds[point["name"]]["p50"]} for point in found]
+            about = {"kind": "FEM", "family": family, "run": None}
+            errors = {key: point[key] for key in ("test", "hard")}
+            found.append({"name": point["name"]} | about | errors)
+    timed = {point["name"]: point for point in found if point["name"] in seconds}
+    return [point | {"seconds": seconds[name]["p50"]} for name, point in timed.items()]
 
 
-def pareto(points, split):
+def pareto(points: Iterable[dict], split: str) -> list[dict]:
     """The points that no other beats in both error and time, from the fastest to the most
     accurate."""
     front, best = [], np.inf
@@ -56,7 +43,7 @@ def pareto(points, split):
     return front
 
 
-def against_fem(study, results):
+def against_fem(study: Study, results: dict) -> list[dict]:
     """What the FEM does with the same error and in the same time as a learned competitor, and when
     that one's cost is earned back.
 
@@ -73,38 +60,30 @@ def against_fem(study, results):
     rows = []
     for frame in study.fem.frames:
         every = points(results, frame)
-        fem = [p for p in every if p["family"].startswith("FEM")]
-        regressions = [p for p in every if p["family"] in ("linear", "POD", "POD + quadratic")]
+        fem = [p for p in every if p["kind"] == "FEM"]
+        regressions = [p for p in every if p["kind"] == "regression"]
         chosen = [(min(regressions, key=lambda p: p[key]), None) for key in ("seconds", "test")]
-        for run in (study.cnn_lstm, study.unet):
-            forms = [p for p in every if p["name"].startswith(f"{run}: ")]
-            chosen.append(
-                (
-                    min(forms, key=lambda p: p["seconds"]),
-                    results["accuracy"]["runs"][run]["seconds"],
-                )
-            )
-        for own, training in chosen:
-            equal = min(
-                (p for p in fem if p["test"] <= own["test"]),
-                key=lambda p: p["seconds"],
-                default=None,
-            )
-            timely = min(
-                (p for p in fem if p["seconds"] <= own["seconds"]),
-                key=lambda p: p["test"],
-                default=None,
-            )
-            saved = equal["seconds"] - own["seconds"] if equal else 0.0
-            hours = (data + (training or 0.0)) / saved * frame / 3600 if saved > 0 else None
-            rows.append(
-                {
-                    "frame": frame,
-                    "own": own,
-                    "equal": equal,
-                    "timely": timely,
-                    "training_s": training,
-                    "hours": hours,
-                }
-            )
+        for run in (main.run for main in study.main):
+            forms = sorted((p for p in every if p["run"] == run), key=lambda p: p["seconds"])
+            chosen += [(own, results["accuracy"]["runs"][run]["seconds"]) for own in forms[:1]]
+        rows += [_against(own, fem, training, data, frame) for own, training in chosen]
     return rows
+
+
+def _against(own, fem, training, data, frame):
+    equal = min(
+        (p for p in fem if p["test"] <= own["test"]), key=lambda p: p["seconds"], default=None
+    )
+    timely = min(
+        (p for p in fem if p["seconds"] <= own["seconds"]), key=lambda p: p["test"], default=None
+    )
+    saved = equal["seconds"] - own["seconds"] if equal else 0.0
+    hours = (data + (training or 0.0)) / saved * frame / 3600 if saved > 0 else None
+    return {
+        "frame": frame,
+        "own": own,
+        "equal": equal,
+        "timely": timely,
+        "training_s": training,
+        "hours": hours,
+    }

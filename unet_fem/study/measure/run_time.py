@@ -6,82 +6,84 @@ the caches that it can have; the turns alternate, so that a disturbance of the m
 alike.
 """
 
-from functools import partial
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from fem.measure.timing import alternate, quantiles
-from unet_fem.study import runs as pipeline
+from fem.data.dataset import Dataset
+from fem.measure.timing import quantiles
+from fem.online.stepper import Stepper
+from fem.solver.frame_loop import FrameLoop
+from unet_fem.deployment.latency import machine, time_steppers, use_threads
+from unet_fem.study.dataset import frame_forces, study_dataset
+from unet_fem.study.measure.loops import judge, loop, loop_name
+from unet_fem.study.measure.tuning import tuned
+from unet_fem.study.runs import deployed_runs
+from unet_fem.study.settings import Study
+from unet_fem.study.steppers import Competitor, networks, regressions
 
 CALLS = 3
 WARM_UP = 3  # turns before the clock runs
 
 
-def run(study):
+def run(study: Study) -> dict:
     """{"seconds": {competitor: {"p50": ..., "p90": ..., "p99": ..., "worst": ...}}, "data_frame_s",
     "data_frames", "machine": {...}}.
 
     data_frame_s: what the dataset's own solver takes for a frame of data on this thread, s;
     data_frames: frames to learn from.
     """
-    from unet_fem.deployment import latency
-
-    latency.use_threads(1)
-    from unet_fem.deployment.forms import forms
-    from unet_fem.study import regressions
-    from unet_fem.study.measure import fixed_latency
-    from unet_fem.training.run import open_run
-
-    actions = {}
-    for folder in deployed_runs(study):
-        settings, dataset = open_run(folder)
-        actions |= {
-            f"{settings.name}: {form}": partial(make().step, dataset.read("test")["force"][0, -1])
-            for form, make in forms(settings, dataset).items()
-        }
-    actions |= regressions.actions(study, dataset)
-    actions |= fixed_latency.frame_actions(study, dataset)
-    actions["dataset"] = data_action(dataset)
+    use_threads(1)
+    dataset = study_dataset(study)
+    number = study.fem.interactions[0]
+    own = dataset.read("test", ("force",), [number])["force"][0]
+    frames = {frame: frame_forces(dataset, "test", number, frame) for frame in study.fem.frames}
+    learned, loops = learned_steppers(study, dataset), loop_steppers(study, dataset)
+    steppers: dict[str, Any] = {**learned, **loops}  # a loop's interval is never None
+    forces = dict.fromkeys(learned, own)
+    forces |= {name: frames[loop.interval] for name, loop in loops.items()}
     print(
-        f"timing {len(actions)} competitors, {study.rounds} turns of {CALLS} calls, one thread",
+        f"timing {len(steppers)} competitors, {study.rounds} turns of {CALLS} calls, one thread",
         flush=True,
     )
-    times = alternate(
-        {name: repeated(action) for name, action in actions.items()}, study.rounds, WARM_UP
+    times = time_steppers(
+        steppers,
+        forces,
+        study.rounds,
+        calls=CALLS,
+        warm_up=WARM_UP,
+        beside={"dataset": data_action(dataset)},
     )
     data = times.pop("dataset")
     return {
         "seconds": {name: quantiles(values, digits=7) for name, values in times.items()},
         "data_frame_s": float(np.median(data)),
         "data_frames": int((dataset.split != "test").sum()) * len(dataset.time),
-        "machine": latency.machine() | {"rounds": study.rounds, "calls": CALLS},
+        "machine": machine() | {"rounds": study.rounds, "calls": CALLS},
     }
 
 
-def deployed_runs(study):
-    """Folders of the deployed runs and of what pruning made of the main ones, where it is there."""
-    names = [
-        *study.deployed,
-        *(
-            run
-            for main in (study.cnn_lstm, study.unet)
-            for run in pipeline.pruned_runs(study, main).values()
-        ),
-    ]
-    folders = [study.folder.parent / name for name in dict.fromkeys(names)]
-    return [folder for folder in folders if (folder / "best.keras").is_file()]
+def learned_steppers(study: Study, dataset: Dataset) -> dict[str, Stepper]:
+    """{name: Stepper} of the deployed networks and the regressions."""
+    competitors: dict[str, Competitor] = {}
+    for settings, parent in deployed_runs(study).values():
+        competitors |= networks(settings, parent, dataset, threads=1)
+    competitors |= regressions(study, dataset)
+    return {name: own.make() for name, own in competitors.items()}
 
 
-def repeated(action):
-    def turn():
-        for _ in range(CALLS):
-            action()
-        return CALLS
+def loop_steppers(study: Study, dataset: Dataset) -> dict[str, FrameLoop]:
+    """{name: FrameLoop} of every tuned loop that does not stop in the first interaction of
+    study.fem."""
+    return {
+        loop_name(settings): loop(dataset, settings)
+        for settings in tuned(study, dataset)[0]
+        if "sums" in judge(study, dataset, settings, "test", study.fem.interactions[0])
+    }
 
-    return turn
 
-
-def data_action(dataset):
+def data_action(dataset: Dataset) -> Callable:
     """One frame of the dataset's own simulation, under a steady push."""
     scene = dataset.scene
     solver = scene.build_solver(dataset.fem_mesh)

@@ -6,23 +6,28 @@ the mean over the seeds that were trained; how far the seeds differ is given bes
 are too few to draw from.
 """
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from scipy.stats import bootstrap
 
-from unet_fem.study.measure.accuracy import KERAS
+from unet_fem.study.runs import KERAS
+from unet_fem.study.settings import Study
 
 RESAMPLES = 9999
 STRONG = 0.25  # share of the test interactions that count as strong, by their largest total force
 
 
-def relative_l2(errors, truth, axis=-1):
+def relative_l2(
+    errors: Sequence[np.ndarray] | np.ndarray, truth: np.ndarray, axis: int = -1
+) -> np.ndarray:
     """Mean over the seeds of sqrt(sum error / sum truth): errors a list of (..., I) mm2, one a
     seed; truth (..., I) mm2."""
     total = np.sum(truth, axis=axis)
     return np.mean([np.sqrt(np.sum(error, axis=axis) / total) for error in errors], axis=0)
 
 
-def interval(errors, truth):
+def interval(errors: np.ndarray, truth: np.ndarray) -> dict:
     """{"relative_l2", "low", "high"}: over interactions, with the 95 % interval of drawing them
     with replacement.
 
@@ -35,7 +40,7 @@ def interval(errors, truth):
     )
 
 
-def difference(errors, base, truth):
+def difference(errors: np.ndarray, base: np.ndarray, truth: np.ndarray) -> dict:
     """{"difference", "low", "high", "change"}: relative L2 less that of another model with `base`
     (seeds, I) mm2 on the same interactions.
 
@@ -52,7 +57,7 @@ def difference(errors, base, truth):
     return found | {"change": found["difference"] / float(relative_l2(base, truth))}
 
 
-def _bootstrap(statistic, data, name):
+def _bootstrap(statistic: Callable, data: tuple, name: str) -> dict:
     found = {name: float(statistic(*data)), "low": None, "high": None}
     if len(data[-1]) < 2:
         return found
@@ -70,7 +75,7 @@ def _bootstrap(statistic, data, name):
     }
 
 
-def subsets(accuracy):
+def subsets(accuracy: dict) -> dict[str, np.ndarray]:
     """{"test", "strong", "hard": rows of the test interactions}: all, the quarter with the largest
     forces, those beyond training."""
     numbers, force = np.array(accuracy["numbers"]), np.array(accuracy["force"])
@@ -82,13 +87,13 @@ def subsets(accuracy):
     }
 
 
-def sums(accuracy, names):
+def sums(accuracy: dict, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """(errors (len(names), I), truth (I,)) in mm2 of models of the accuracy stage."""
     pairs = np.array([accuracy["models"][name]["sums"] for name in names])  # (M, I, 2)
     return pairs[..., 0], pairs[0, :, 1]
 
 
-def intervals(accuracy, names, base=None):
+def intervals(accuracy: dict, names: list[str], base: list[str] | None = None) -> dict:
     """{"test", "strong", "hard": interval} of the models `names`, seeds of one another;
     "test_difference", ... to the models `base`."""
     errors, truth = sums(accuracy, names)
@@ -103,7 +108,7 @@ def intervals(accuracy, names, base=None):
     return found
 
 
-def physics(study, accuracy):
+def physics(study: Study, accuracy: dict) -> list[dict]:
     """[{"label", "runs", "threshold", ...}] for the arms of study.physics whose runs are there; the
     first is the one to compare with.
 

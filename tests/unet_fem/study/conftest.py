@@ -1,0 +1,185 @@
+"""A study with any number of main networks, and results of its stages that nobody measured."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unet_fem.study.runs import KERAS, smaller_runs
+from unet_fem.study.settings import Main, Network, Order, Study, load_study
+
+ROOT = Path(__file__).parents[3]
+FORMS = (KERAS, "dynamic", "float16", "float32", "int8")
+
+
+@pytest.fixture
+def study_of(monkeypatch):
+    """study_of(3): the quick study with so many main networks, the first two its own."""
+    monkeypatch.chdir(ROOT)
+
+    def make(count: int) -> Study:
+        study = load_study("configs/study_quick.toml")
+        changes = study.networks[1].changes
+        more = [Network(f"net{n}", "configs/quick.toml", changes) for n in range(3, count + 1)]
+        mains = (*study.main, *(Main(f"Net {own.name[3:]}", own.name, 1) for own in more))
+        labels = [main.label for main in mains[:count]]
+        return dataclasses.replace(
+            study,
+            networks=(*study.networks, *more),
+            main=mains[:count],
+            deployed=tuple(main.run for main in mains[:count]),
+            order=tuple(
+                Order(better, worse, 0.3)
+                for better, worse in zip(labels, [*labels[1:], "linear regression"], strict=True)
+            ),
+        )
+
+    return make
+
+
+@pytest.fixture
+def results_of():
+    """results_of(study): results of every stage, in the form that it gives them."""
+    return lambda study: _Results(study).stages()
+
+
+class _Results:
+    def __init__(self, study: Study):
+        self.study, self.rng = study, np.random.default_rng(1)
+        self.numbers = list(range(1, 5))
+
+    def stages(self) -> dict[str, dict]:
+        return {
+            "reference": self.reference(),
+            "fixed_latency": {"points": [self.point(frame) for frame in (0.01, 0.25)]},
+            "accuracy": self.accuracy(),
+            "time_dependence": self.time_dependence(),
+            "force_range": self.force_range(),
+            "run_time": self.run_time(),
+        }
+
+    def reference(self):
+        return {
+            "numbers": self.numbers,
+            "hard_numbers": [4],
+            "stopped": [3],
+            "safety": 0.85,
+            "dataset": {"test": 0.002},
+            "half_step": {"relative_l2": 0.0007},
+            "refined": {"relative_l2": 0.061, "numbers": [1, 2]},
+        }
+
+    def point(self, frame):
+        return {
+            "name": f"FEM full, 5 steps / {1e3 * frame:g} ms",
+            "element": "full",
+            "coarse": False,
+            "frame": frame,
+            "test": 0.05,
+            "hard": 0.06,
+            "stopped": [],
+        }
+
+    def model(self, kind, family, run=None, parent=None, form="float32"):
+        truth = self.rng.uniform(1, 9, len(self.numbers))
+        error = truth * self.rng.uniform(0.01, 0.09, len(truth))
+        test = float(np.sqrt(error.sum() / truth.sum()))
+        own = {
+            "kind": kind,
+            "family": family,
+            "run": run,
+            "parent": parent,
+            "form": form,
+            "frames": 1,
+            "test": test,
+            "hard": 1.1 * test,
+            "sums": np.stack([error, truth], axis=1).tolist(),
+            "headline": {"test": test, "hard": 1.1 * test},
+            "depth": {"depth": [0.0, 1.0], "mean_mm": [0.2, 0.1], "relative_l2": [0.2, 0.1]},
+            "violation": [0.01] * len(truth),
+            "violation_mean": 0.01,
+            "gate": 0.07,
+            "gate_open": 0.0,
+        }
+        return own | ({} if run else {"parameters": 1000, "train": 0.1, "validation": 0.2})
+
+    def accuracy(self):
+        models, runs = {}, {}
+        every = [(network.name, None, "network family") for network in self.study.networks]
+        every += [(run.name, run.parent, "network family") for run in smaller_runs(self.study)]
+        for run, parent, family in every:
+            for form in FORMS:
+                models[f"{run}: {form}"] = self.model("network", family, run, parent, form)
+            runs[run] = {
+                "parameters": 12345,
+                "train": 0.1,
+                "validation": 0.2,
+                "epochs": 2,
+                "best_epoch": 2,
+                "seconds": 60.0,
+                "threshold": 0.07,
+                "train_gate_open": 0.0,
+                "validation_gate_open": 0.0,
+            }
+        models["linear regression, 2 frames"] = self.model("regression", "linear")
+        return {
+            "models": models,
+            "runs": runs,
+            "numbers": self.numbers,
+            "hard": [4],
+            "force": [1.0, 2.0, 3.0, 4.0],
+            "fem_violation": [0.01, 0.02, 0.03, 0.04],
+        }
+
+    def run_time(self):
+        models = self.accuracy()["models"]
+        names = [*models, *(name.replace(KERAS, "Keras call") for name in models)]
+        names += [self.point(frame)["name"] for frame in (0.01, 0.25)]
+        seconds = self.rng.uniform(1e-4, 1e-2, len(names))
+        keys = ("p50", "p90", "p99", "worst")
+        return {
+            "seconds": {
+                name: dict.fromkeys(keys, float(s)) for name, s in zip(names, seconds, strict=True)
+            },
+            "data_frames": 100,
+            "data_frame_s": 0.1,
+            "machine": {
+                "processor": "a processor",
+                "rounds": 3,
+                "calls": 3,
+                "load": 0.5,
+                "python": "3.11",
+                "libraries": {"numpy": "2"},
+            },
+        }
+
+    def time_dependence(self):
+        answer = {"label": "an answer", "relative_l2": [None, 0.1], "creep": [None, 1.0]}
+        answer |= {"along": [None, 0.5], "common": [None, 0.2]}
+        shares = ("relative_l2", "missed", "common", "along", "followed")
+        part = {
+            "time": [0.0, 0.25],
+            "creep": [None, 1.2],
+            "interactions": 4,
+            "time_dependence": 0.2,
+            "window": {"difference": -0.01, "low": None, "high": None},
+            "answers": {"net": answer | {"overall": dict.fromkeys(shares, 0.5)}},
+        }
+        return {"trained_s": 0.25, "factor": 1.1, "short": part, "long": part}
+
+    def force_range(self):
+        names = ["truth", "linear regression", *(main.label for main in self.study.main)]
+        table = [[None, 0.05], [None, 0.2]]
+        own = {"relative_l2": table, "volume": [[0.0, 0.01]] * 2, "stopped": [[0, 0]] * 2}
+        return {
+            "factors": [0.5, 1.0],
+            "time": [0.0, 0.25],
+            "interactions": [1],
+            "tolerance": 0.1,
+            "band": 0.07,
+            "alive": [[1, 1], [1, 1]],
+            "flag": [[0, 0], [0, 1]],
+            "stops": [{"what": "truth", "number": 1, "factor": 1.0}],
+            "competitors": dict.fromkeys(names, own),
+        }

@@ -1,0 +1,84 @@
+"""Interactions of a dataset simulated in another way than the dataset's, each kept in a file of its
+own."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fem.data.dataset import Dataset
+from fem.data.grid import grid_of
+from fem.data.scene import SolverChoice
+from fem.errors import SolverStopped
+from fem.files import save_arrays
+from fem.mesh.shapes import refined
+from fem.workers import on_all_cores
+from unet_fem.study.dataset import simulated
+from unet_fem.study.keys import key
+from unet_fem.study.settings import Study
+
+VERSION = 1
+
+
+def variant(
+    study: Study,
+    dataset: Dataset,
+    name: str,
+    choice: SolverChoice,
+    numbers: Iterable[int],
+    split: str = "test",
+    fine: bool = False,
+) -> dict[int, np.ndarray | None]:
+    """{number: displacement (frames, nx, ny, nz, 3) float32 mm, or None where the solver stopped},
+    simulated where there is no file yet.
+
+    choice: SolverChoice; fine: on the refined mesh.
+    """
+    paths = {n: variant_path(study, dataset, name, choice, split, n, fine) for n in numbers}
+    tasks = [
+        (dataset, choice, fine, split, number, path)
+        for number, path in paths.items()
+        if not path.is_file()
+    ]
+    if tasks:
+        on_all_cores(simulate_variant, tasks, f"FEM, {name}")
+    result = {}
+    for number, path in paths.items():
+        with np.load(path) as file:
+            result[number] = None if "stopped" in file else file["displacement"]
+    return result
+
+
+def variant_path(
+    study: Study,
+    dataset: Dataset,
+    name: str,
+    choice: SolverChoice,
+    split: str,
+    number: int,
+    fine: bool = False,
+) -> Path:
+    """The file of an interaction: what it is made from is in its name."""
+    made_from = key((choice, fine, split, number), [dataset.path], VERSION)
+    return study.cache / "reference" / f"{name}-{split}-{number:04d}-{made_from}.npz"
+
+
+def simulate_variant(
+    dataset: Dataset, choice: SolverChoice, fine: bool, split: str, number: int, path: Path
+) -> None:
+    """Write an interaction's displacement on the dataset's grid to `path`, or why it stopped."""
+    mesh = refined(dataset.fem_mesh) if fine else dataset.fem_mesh
+    try:
+        scene = replace(dataset.scene, solver=choice)
+        found = simulated(dataset, split, number, scene, mesh)
+    except SolverStopped as stop:
+        save_arrays(path, stopped=stop.reason)
+    else:
+        displacement = found["displacement"]
+        on_grid = (
+            grid_of(mesh).to_grid(displacement)[:, ::2, ::2, ::2]
+            if fine
+            else dataset.displacement_on_grid(displacement)
+        )
+        save_arrays(path, displacement=on_grid)

@@ -1,0 +1,126 @@
+"""The competitors of a study as steppers (see fem.online.stepper): each is judged, timed and drawn
+by the same code, frame by frame, whatever it is."""
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from fem.data.dataset import Dataset
+from fem.online.regression import RegressionStepper
+from fem.online.stepper import Stepper
+from unet_fem.deployment.forms import CALL, graph_stepper
+from unet_fem.networks.files import load_model
+from unet_fem.networks.pod import linear, reduced, truncated
+from unet_fem.networks.registry import network
+from unet_fem.networks.stepper import KerasStepper
+from unet_fem.runtime.surrogate import Surrogate
+from unet_fem.study.runs import KERAS, lite_files
+from unet_fem.study.settings import LINEAR, Study
+from unet_fem.training.samples import load_samples
+from unet_fem.training.settings import Settings
+
+
+@dataclass(frozen=True)
+class Competitor:
+    """One that answers forces frame by frame.
+
+    kind: "network", "regression" or "FEM"; family: joined in figures; run: of a network, parent:
+    the run that it was pruned from; form: as it is deployed; frames: forces that it sees at once;
+    make: gives its Stepper, for forces on the node grid; parameters: of a regression.
+    """
+
+    kind: str
+    family: str
+    make: Callable[[], Stepper]
+    run: str | None = None
+    parent: str | None = None
+    form: str = "float32"
+    frames: int = 1
+    parameters: int | None = None
+
+    def facts(self) -> dict:
+        """What results say about it, plain values."""
+        names = ("kind", "family", "run", "parent", "form", "frames")
+        own = {name: getattr(self, name) for name in names}
+        return own | ({"parameters": self.parameters} if self.parameters else {})
+
+
+def networks(
+    settings: Settings, parent: str | None, dataset: Dataset, threads: int | None = None
+) -> dict[str, Competitor]:
+    """{"<run>: <form>": Competitor}: a trained run called plainly, as a tf.function, and by each of
+    its .tflite files.
+
+    threads: of LiteRT, None for all; TensorFlow's are the process's.
+    """
+    threads, path = threads or os.cpu_count() or 1, settings.folder / "best.keras"
+    interval = dataset.scene.frames.interval
+    forms: dict[str, Callable[[], Stepper]] = {
+        KERAS: lambda: graph_stepper(load_model(path), interval),
+        CALL: lambda: KerasStepper.open(path, interval),
+    }
+    for form, file in lite_files(settings).items():
+        forms[form] = partial(Surrogate, file, threads)
+    return {
+        f"{settings.name}: {form}": Competitor(
+            "network",
+            network(settings.model.kind).label,
+            make,
+            run=settings.name,
+            parent=parent,
+            form=form,
+            frames=settings.model.window or 1,
+        )
+        for form, make in forms.items()
+    }
+
+
+def linear_name(frames: int | None) -> str:
+    """Of the linear regression on a window of so many frames; None for one."""
+    return f"{LINEAR}, {frames or 1} frame{'s' * ((frames or 1) > 1)}"
+
+
+def linear_regressions(dataset: Dataset, windows: Iterable[int | None]) -> dict[str, Competitor]:
+    """{name: Competitor} of the linear regression on each window of frames."""
+    return {
+        linear_name(frames): _regression(_fitted(dataset, frames)[0], frames)
+        for frames in sorted({frames or 1 for frames in windows})
+    }
+
+
+def regressions(study: Study, dataset: Dataset) -> dict[str, Competitor]:
+    """{name: Competitor}: linear for every window of the study's networks, POD on the one best in
+    validation."""
+    found, least = {}, np.inf
+    for frames in sorted({own.settings.model.window or 1 for own in study.networks}):
+        full, train, validation = _fitted(dataset, frames)
+        wrong = full.predict(validation.force) - validation.displacement
+        error = np.sum(wrong**2, dtype=float)
+        if error < least:
+            least, best = error, (frames, full, train, validation)
+        found[linear_name(frames)] = _regression(full, frames)
+    frames, full, train, validation = best
+    for model in reduced(full, train, validation, max(study.pod_modes)):
+        for modes in study.pod_modes:
+            if model.modes is not None and modes <= len(model.modes):
+                name = f"{model.family}, {modes} modes"
+                found[name] = _regression(truncated(model, modes), frames)
+    return found
+
+
+def _fitted(dataset, frames):
+    train, validation = (load_samples(dataset, split, frames) for split in ("train", "validation"))
+    return linear(train, validation, dataset.free), train, validation
+
+
+def _regression(model, frames):
+    return Competitor(
+        "regression",
+        model.family,
+        partial(RegressionStepper, model),
+        frames=frames,
+        parameters=model.parameters,
+    )
