@@ -12,12 +12,11 @@ State = dict[str, np.ndarray]  # what `state` gives: arrays by name, fit for np.
 
 @runtime_checkable
 class Stepper(Protocol):
-    """A body under forces that change from call to call.
+    """A body under forces that change from call to call."""
 
-    interval: seconds from one call of `step` to the next, or None where any dt may be given.
-    """
-
-    interval: float | None
+    @property
+    def interval(self) -> float | None:
+        """Seconds from one call of `step` to the next, or None where any dt may be given."""
 
     def reset(self) -> None:
         """Back to rest: no force in the past."""

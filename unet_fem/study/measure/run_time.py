@@ -7,7 +7,6 @@ alike.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,7 @@ def run(study: Study) -> dict:
     own = dataset.read("test", ("force",), [number])["force"][0]
     frames = {frame: frame_forces(dataset, "test", number, frame) for frame in study.fem.frames}
     learned, loops = learned_steppers(study, dataset), loop_steppers(study, dataset)
-    steppers: dict[str, Any] = {**learned, **loops}  # a loop's interval is never None
+    steppers: dict[str, Stepper] = {**learned, **loops}
     forces = dict.fromkeys(learned, own)
     forces |= {name: frames[loop.interval] for name, loop in loops.items()}
     print(
