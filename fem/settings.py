@@ -71,6 +71,8 @@ def build(cls: type, tree: dict[str, Any], where: str = "") -> Any:
     key."""
     if not isinstance(tree, dict):
         raise InputError(f"'{where}' must be a table, not {tree!r}")
+    if hasattr(cls, "arranged"):  # its file is laid out otherwise than its fields
+        tree = cls.arranged(tree)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
     hints = typing.get_type_hints(cls)
     for key in tree:

@@ -23,6 +23,7 @@ from fem.data.grid import displacement_on_grid, force_on_grid, grid_of
 from fem.data.scene import SPLITS, Scene
 from fem.data.schema import FIELDS, FIRST_FORMAT, FORMAT, check_members
 from fem.errors import InputError
+from fem.material.base import Hyperelastic
 from fem.mesh import element
 from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
@@ -152,6 +153,11 @@ class Dataset:
         if loaded is None:
             return self.mesh
         return self.mesh.with_sets(loaded=grid_of(self.mesh).from_grid(loaded[..., None])[:, 0])
+
+    @property
+    def material(self) -> Hyperelastic:
+        """The law of `fem_mesh`, with the parameters of its cell groups; see Scene.material_on."""
+        return self.scene.material_on(self.fem_mesh)
 
     @cached_property
     def embedding(self) -> Embedding | None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from fem.contact.draw import ContactRange
 from fem.data.mesh_choice import MeshChoice, on_own_grid
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
+from fem.material.groups import Groups, by_cells, check_groups, split_table
 from fem.material.kinds import from_table, to_table
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.read import check_held
@@ -143,7 +144,11 @@ class Health:
 
 @dataclass(frozen=True)
 class Scene:
-    """Mesh, material, solver, contacts and interactions of one dataset."""
+    """Mesh, material, solver, contacts and interactions of one dataset.
+
+    groups: {cell set of the mesh: {parameter: value}}, what its cells have in place of the
+    material's; [material.<cell set>] in a file. See `material_on`.
+    """
 
     material: Hyperelastic = field(metadata={"build": from_table})
     contact: ContactRange
@@ -152,9 +157,21 @@ class Scene:
     mesh: MeshChoice = field(default_factory=MeshChoice)
     solver: SolverChoice = field(default_factory=SolverChoice)
     health: Health = field(default_factory=Health)
+    groups: Groups = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         config.normalised(self)
+        object.__setattr__(self, "groups", check_groups(self.material, self.groups))
+
+    @staticmethod
+    def arranged(tree: dict[str, Any]) -> dict[str, Any]:
+        """The tables of a scene file with those of cell groups beside [material], not in it."""
+        if "groups" in tree:
+            raise InputError("unknown key 'groups'; give a group of cells as [material.<cell set>]")
+        if not isinstance(tree.get("material"), dict):
+            return tree
+        material, groups = split_table(tree["material"])
+        return tree | {"material": material, "groups": groups}
 
     def toml(self) -> str:
         """The text of every setting, defaults included; where the scene lies is no part of it."""
@@ -165,7 +182,9 @@ class Scene:
         return digest(self._tree())[:8]
 
     def _tree(self):
-        return config.to_dict(self) | {"material": to_table(self.material)}
+        tree = config.to_dict(self)
+        groups = tree.pop("groups")
+        return tree | {"material": to_table(self.material) | groups}
 
     def with_mesh(self, mesh: HexMesh, grid: tuple[int, int, int] | None = None) -> "Scene":
         """This scene on the HexMesh `mesh` (m), such as fem.mesh.read.read_mesh gives; its dataset
@@ -179,9 +198,17 @@ class Scene:
         choice = MeshChoice("given", grid=grid, sha256=mesh.digest, mesh=mesh)
         return replace(self, mesh=choice)
 
+    def material_on(self, hex_mesh: HexMesh) -> Hyperelastic:
+        """The law of `hex_mesh`: one value a cell, (E,), of the parameters in which its cell groups
+        differ, and `material` itself where they do not.
+
+        Raises InputError for a group that is no cell set of the mesh, or shares cells with another.
+        """
+        return by_cells(self.material, hex_mesh, self.groups)
+
     def build_solver(self, hex_mesh: HexMesh) -> Solver:
         """The solver of `hex_mesh` with this scene's material and settings."""
-        return Solver(hex_mesh, self.material, **config.to_dict(self.solver))
+        return Solver(hex_mesh, self.material_on(hex_mesh), **config.to_dict(self.solver))
 
 
 def load_scene(path: str | Path) -> Scene:

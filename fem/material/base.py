@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 
 from fem.errors import InputError
 
@@ -88,10 +89,12 @@ class Hyperelastic:
 
         Raises InputError for a parameter with another number of values.
         """
-        twin = copy.copy(self)
-        for name, value in vars(self).items():
-            object.__setattr__(twin, name, _cut(value, cells, n_cells, name))
-        return twin
+        return _changed(self, lambda values: values[cells], n_cells)
+
+    def averaged(self, weights: scipy.sparse.csr_matrix) -> "Hyperelastic":
+        """The law of cells whose parameters are means over those of others: weights (M, E), with
+        rows that add up to 1."""
+        return _changed(self, lambda values: weights @ values, weights.shape[1])
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and _key(self) == _key(other)
@@ -121,12 +124,20 @@ class Scaled(Hyperelastic):
         return np.multiply(self.factor, self.law.tangent(F), out=out)
 
 
-def _cut(value, cells, n_cells, name):
-    """`value` for some cells alone, if it is one value a cell, or holds such."""
+def _changed(law, change, n_cells):
+    """`law` with `change(values)` for each parameter that has one value a cell."""
+    twin = copy.copy(law)
+    for name, value in vars(law).items():
+        object.__setattr__(twin, name, _change(value, change, n_cells, name))
+    return twin
+
+
+def _change(value, change, n_cells, name):
+    """`change(value)` if it is one value a cell, or of what it holds."""
     if isinstance(value, Hyperelastic):
-        return value.of_cells(cells, n_cells)
+        return _changed(value, change, n_cells)
     if isinstance(value, tuple):
-        return tuple(_cut(item, cells, n_cells, name) for item in value)
+        return tuple(_change(item, change, n_cells, name) for item in value)
     if not isinstance(value, np.ndarray) or value.ndim == 0:
         return value
     if value.shape != (n_cells,):
@@ -134,7 +145,7 @@ def _cut(value, cells, n_cells, name):
             f"material.{name} has shape {value.shape}; give one value, or one for each of the"
             f" {n_cells} cells"
         )
-    return value[cells]
+    return change(value)
 
 
 def _key(value):

@@ -57,6 +57,10 @@ class Ogden(Hyperelastic):
 
     def __post_init__(self) -> None:
         check_parameters(self)
+        if any(np.ndim(a) for _, a in self.terms):
+            raise InputError(
+                "material.terms has exponents that differ from cell to cell; only moduli may differ"
+            )
         terms = tuple((parameter(m), float(a)) for m, a in self.terms)
         object.__setattr__(self, "terms", terms)
         if not terms:

@@ -74,9 +74,9 @@ class FullElement:
     def to_nodes(self, P: np.ndarray, out: np.ndarray) -> None:
         """Nodal forces (3, 8, E) in N of the stress P (3, 3, Q, E), which is overwritten."""
         if self.to_physical is None:
-            if self.unit is not None:
-                P *= self.unit
             np.matmul(self.divergence, P.reshape(3, 3 * self.q, self.n), out=out)
+            if self.unit is not None:  # on 24 forces a cell, not on its 72 stresses
+                out *= self.unit
             return
         G, T = self.scratch("G", P.shape), self.scratch("T", P.shape[1:])
         P *= self.force_weight
@@ -168,9 +168,12 @@ class ReducedElement:
     def _stack(self, dtype, unit, cellwise):
         """Gradient and hourglass shapes in one matrix each way, (7, 8) and (8, 7)."""
         self.unit = unit.astype(dtype) if np.ndim(unit) else None
-        self.cellwise_stiffness = self.stiffness if cellwise else None
+        in_unit = self.stiffness if self.unit is None else self.stiffness.astype(float) / unit
+        # a share of mu, as of one modulus a cell, is the same in all
+        cellwise = cellwise and not np.allclose(in_unit, in_unit[0], rtol=1e-6, atol=0)
+        self.cellwise_stiffness = in_unit.astype(dtype) if cellwise else None
         rows = np.vstack([self.gradient.astype(float), element.HOURGLASS])
-        stiffness = 1.0 if cellwise else self.stiffness[0]
+        stiffness = 1.0 if cellwise else in_unit[0]
         columns = np.vstack([self.divergence.T.astype(float), element.HOURGLASS * stiffness])
         self.rows, self.columns = rows.astype(dtype), np.ascontiguousarray(columns.T, dtype)
 
@@ -201,11 +204,11 @@ class ReducedElement:
             Q[:, 3:] *= self.share
         if self.congruent:
             Q[:, :3] = P[:, :, 0]
-            if self.unit is not None:
-                Q[:, :3] *= self.unit
             if self.cellwise_stiffness is not None:
                 Q[:, 3:] *= self.cellwise_stiffness
             np.matmul(self.columns, Q, out=out)
+            if self.unit is not None:
+                out *= self.unit
         else:
             np.einsum("jae,cje->cae", self.divergence, P[:, :, 0], out=out)
             Q[:, 3:] *= self.stiffness

@@ -9,6 +9,7 @@ import scipy.sparse
 
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
+from fem.mesh import element
 from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import from_voxels
@@ -95,7 +96,8 @@ class FrameLoop:
         self.mesh, self.settings, self.interval = mesh, settings, settings.frame
         self.grid = mesh.grid
         simulated, self.transfer = loop_mesh(mesh, settings)
-        longest = longest_step(mesh, material, settings)
+        material = loop_material(mesh, simulated, material)
+        longest = SAFETY * _solver(simulated, material, settings).critical_step
         self.mass_scaling = max(1.0, (settings.frame / settings.steps / longest) ** 2)
         self.damping_rate = settings.damping / (longest * np.sqrt(self.mass_scaling))
         self.solver = _solver(
@@ -174,7 +176,9 @@ class FrameLoop:
 
 def longest_step(mesh: HexMesh, material: Hyperelastic, settings: LoopSettings) -> float:
     """The longest step in s that this element takes at rest with the true mass."""
-    return SAFETY * _solver(loop_mesh(mesh, settings)[0], material, settings).critical_step
+    simulated, _ = loop_mesh(mesh, settings)
+    material = loop_material(mesh, simulated, material)
+    return SAFETY * _solver(simulated, material, settings).critical_step
 
 
 def _solver(mesh, material, settings, **options):
@@ -193,6 +197,31 @@ def loop_mesh(
 ) -> tuple[HexMesh, scipy.sparse.csr_matrix | None]:
     """(HexMesh, A or None) that a loop simulates, see `coarse_mesh`."""
     return coarse_mesh(mesh) if settings.coarse else (mesh, None)
+
+
+def loop_material(mesh: HexMesh, simulated: HexMesh, material: Hyperelastic) -> Hyperelastic:
+    """The law of the mesh that a loop simulates, from that of `mesh`: where it is a coarse mesh, a
+    parameter with one value a cell is the mean over the volume of `mesh` in the coarse cell."""
+    if simulated is mesh:
+        return material
+    low, size = mesh.points.min(axis=0), np.ptp(mesh.points, axis=0)
+    planes = [np.unique(((simulated.points - low) / size)[:, i].round(9)) for i in range(3)]
+
+    def places(points):  # (3, ...) which of the planes lie below the points (..., 3)
+        x = np.moveaxis((points - low) / size, -1, 0)
+        return tuple(np.searchsorted(plane, xi) for plane, xi in zip(planes, x, strict=True))
+
+    number = np.full([len(plane) + 1 for plane in planes], -1)
+    number[places(simulated.points[simulated.cells].mean(axis=1))] = np.arange(simulated.n_cells)
+    corners = mesh.points[mesh.cells]
+    owner = number[places((corners + corners.mean(axis=1, keepdims=True)) / 2)]  # (E, 8) of eighths
+    fine, eighth = np.nonzero(owner >= 0)
+    volume = element.gauss_volumes(mesh.points, mesh.cells)[fine, eighth]
+    inside = scipy.sparse.csr_matrix(
+        (volume, (owner[fine, eighth], fine)), (simulated.n_cells, mesh.n_cells)
+    )
+    share = scipy.sparse.diags(1 / np.ravel(inside.sum(axis=1)))
+    return material.averaged((share @ inside).tocsr())
 
 
 def coarse_mesh(mesh: HexMesh) -> tuple[HexMesh, scipy.sparse.csr_matrix]:

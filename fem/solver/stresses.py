@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fem.material.base import Hyperelastic, acoustic_stiffness, volumetric_modulus
+from fem.material.base import Hyperelastic, acoustic_stiffness, bulk_modulus, volumetric_modulus
 from fem.material.kinematics import cofactor, determinant
 from fem.material.neo_hooke import NeoHooke
 from fem.solver.elements import FullElement, ReducedElement
@@ -59,7 +59,10 @@ class FusedNeoHooke:
         scratch: Callable[..., np.ndarray],
     ) -> None:
         self.element, self.scratch, self.mean_dilatation = element, scratch, mean_dilatation
-        mu, bulk = material.mu, material.K / material.mu
+        mu, nu = material.mu, material.nu
+        # one Poisson ratio is one K in units of mu, however many mu there are
+        shared = np.ndim(mu) and not np.ndim(nu)
+        bulk = bulk_modulus(1.0, nu) if shared else material.K / mu
         self.bulk: Any = np.asarray(bulk, dtype) if np.ndim(bulk) else bulk
         self.weights = Weights(element, mu)
 

@@ -104,7 +104,7 @@ def fem_action(dataset: Dataset, kind: str) -> Callable:
     load = np.zeros((3, mesh.n_nodes))
     top = np.unique(mesh.free_faces)
     load[2, top] = -1e-3 / len(top)
-    solver = Solver(mesh, dataset.scene.material, kind, "float32", damping=50.0)
+    solver = Solver(mesh, dataset.material, kind, "float32", damping=50.0)
 
     def frame():
         solver.advance(FRAME, lambda t: load)

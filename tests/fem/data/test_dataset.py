@@ -426,3 +426,21 @@ def test_a_dataset_does_without_its_mesh_file(tiny, tmp_path):
         dataset.scene.mesh.build()
     load = np.zeros((3, mesh.n_nodes))
     dataset.scene.build_solver(dataset.fem_mesh).advance(1e-3, lambda t: load)
+
+
+def test_a_dataset_knows_the_law_of_each_group_of_its_mesh(tiny, tmp_path):
+    """A stiff group enters the simulation, and the file gives back the law of its cells."""
+    mesh = box((4, 4, 2), 1e-3)
+    middle = np.abs(mesh.points[mesh.cells].mean(axis=1)[:, :2] - 2e-3) < 1e-3
+    mesh = mesh.with_sets(core=middle.all(axis=1))
+    tiny.pop("mesh")
+    sizes = []
+    for groups in ({}, {"core": {"mu": 1200.0}}):
+        scene = dataclasses.replace(config.build(Scene, tiny), groups=groups).with_mesh(mesh)
+        path = tmp_path / f"{len(groups)}.h5"
+        generate(scene, path, workers=1)
+        dataset = open_dataset(path)
+        assert dataset.material == scene.material_on(mesh)
+        sizes.append(np.linalg.norm(dataset.read("train", ("displacement",))["displacement"]))
+    np.testing.assert_array_equal(dataset.material.mu, np.where(mesh.cell_sets["core"], 1200, 400))
+    assert 0 < sizes[1] < 0.9 * sizes[0]

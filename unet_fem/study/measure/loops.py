@@ -24,7 +24,7 @@ def loop_name(settings: LoopSettings) -> str:
 
 def loop(dataset: Dataset, settings: LoopSettings) -> FrameLoop:
     """The loop on the dataset's mesh and material."""
-    return FrameLoop(dataset.fem_mesh, dataset.scene.material, settings)
+    return FrameLoop(dataset.fem_mesh, dataset.material, settings)
 
 
 def judge(study: Study, dataset: Dataset, settings: LoopSettings, split: str, number: int) -> dict:

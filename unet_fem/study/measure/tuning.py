@@ -94,7 +94,7 @@ def _chain(study, dataset, element, frame):
     """Loops of one element and frame, from few steps to the first number that needs hardly any mass
     scaling: more of them would only cost."""
     found, start = [], replace(element, frame=frame, damping=0.1, rise=0.5)
-    longest = longest_step(dataset.fem_mesh, dataset.scene.material, element)
+    longest = longest_step(dataset.fem_mesh, dataset.material, element)
     for steps in sorted(study.fem.steps):
         start = replace(start, steps=steps)
         if frame / steps <= 1.1 * longest:
