@@ -64,7 +64,7 @@ FORMER: Table = {
         "unet_fem.training.fit": "build_model build_loss compile_model fit",
     },
     "unet_fem.study.frame_loop": {
-        "fem.solver.frame_loop": "Competitor FrameLoop longest_step loop_mesh coarse_mesh",
+        "fem.solver.frame_loop": "Competitor:LoopSettings FrameLoop longest_step loop_mesh coarse_mesh",
     },
     "unet_fem.study.pod": {
         "fem.online.regression": "Regression",
