@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-
 ROOT = Path(__file__).parents[1]
 FILES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
@@ -64,7 +63,6 @@ DEFERRED = {
     ("unet_fem.evaluate", "unet_fem.training.judge"): "Keras, for which no refusal waits",
     ("unet_fem.train", "unet_fem.training.fit"): "Keras, for which no refusal waits",
     ("unet_fem.runtime.replay", "h5py"): "of [fem]; the runtime needs it for this command alone",
-    ("unet_fem.training.figures", "matplotlib.pyplot"): "figures are drawn without a window",
 }
 # The calls that end a process in library code, {module: why}.
 ENDS = {"fem.workers": "a worker whose parent was killed must not compute on"}

@@ -1,14 +1,17 @@
 """Timings that can be trusted on a noisy machine: variants take turns, and quantiles are quoted."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
+Name = TypeVar("Name", bound=Hashable)
+
 
 def alternate(
-    actions: dict[str, Callable[[], float | None]], rounds: int, warm_up: int = 1
-) -> dict[str, np.ndarray]:
+    actions: dict[Name, Callable[[], Any]], rounds: int, warm_up: int = 1
+) -> dict[Name, np.ndarray]:
     """Seconds per unit of each action, {name: array (rounds,)}: the actions take turns, so that
     ratios hold.
 

@@ -63,7 +63,8 @@ def vet(settings: Settings, resume: bool = False) -> None:
     else:
         grid = scene.mesh.grid or scene.mesh.build().grid_shape
     if grid:  # without one the dataset cannot be made, and making it tells why
-        settings.model.check(grid)
+        nx, ny, nz = grid
+        settings.model.check((nx, ny, nz))
 
 
 def vet_folder(settings: Settings, resume: bool = False) -> None:
