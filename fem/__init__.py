@@ -16,6 +16,7 @@ __getattr__, __dir__, __all__ = exports(
         "fem.contact.surface": "Surface",
         "fem.data.dataset": "open_dataset",
         "fem.data.scene": "Scene load_scene",
+        "fem.data.simulate": "simulate",
         "fem.errors": "InputError SolverStopped Stop",
         "fem.generate": "generate",
         "fem.material.base": "Hyperelastic",
@@ -30,7 +31,7 @@ __getattr__, __dir__, __all__ = exports(
         "fem.online.stepper": "Stepper",
         "fem.solver.energy": "EnergyLedger",
         "fem.solver.explicit": "Solver",
-        "fem.solver.frame_loop": "FrameLoop",
+        "fem.solver.frame_loop": "FrameLoop LoopSettings",
         "fem.solver.rest": "equilibrium",
     },
 )

@@ -6,6 +6,7 @@ from fem.data.build import generate as generate
 from fem.data.dataset import open_dataset as open_dataset
 from fem.data.scene import Scene as Scene
 from fem.data.scene import load_scene as load_scene
+from fem.data.simulate import simulate as simulate
 from fem.errors import InputError as InputError
 from fem.errors import SolverStopped as SolverStopped
 from fem.errors import Stop as Stop
@@ -23,4 +24,5 @@ from fem.online.stepper import Stepper as Stepper
 from fem.solver.energy import EnergyLedger as EnergyLedger
 from fem.solver.explicit import Solver as Solver
 from fem.solver.frame_loop import FrameLoop as FrameLoop
+from fem.solver.frame_loop import LoopSettings as LoopSettings
 from fem.solver.rest import equilibrium as equilibrium

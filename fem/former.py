@@ -35,7 +35,8 @@ FEM: Table = {
         "fem.mesh.embedding": "Embedding",
     },
     "fem.energy": {
-        "fem.solver.energy": "EnergyLedger kinetic_energy",
+        "fem.solver.energy": "EnergyLedger",
+        "fem.solver.leapfrog": "kinetic_energy",
     },
     "fem.export": {
         "fem.data.paraview": "write_sequence cell_volumes",

@@ -7,9 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-PENDING = pytest.mark.xfail(reason="parts of the rebuild are not in yet")
 ROOT = Path(__file__).parents[1]
 FILES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
@@ -52,9 +49,23 @@ BASE = "fem.errors fem.lazy fem.former fem.files fem.cache fem.online unet_fem.f
 RUNTIME = "fem.online fem.errors fem.files fem.lazy fem.commands unet_fem.runtime"
 
 # The imports inside functions, {(module, imported): why}: a light path must not pay for them.
-DEFERRED: dict[tuple[str, str], str] = {}
+DEFERRED = {
+    (
+        "fem.measure.speed",
+        "felupe",
+    ): "compared with where it is installed; no extra but [test] has it",
+    ("unet_fem.deployment.process", "psutil"): "its own memory would count in what is measured",
+    ("unet_fem.deployment.process", "resource"): "not on Windows",
+    ("unet_fem.deployment.pruning", "tensorflow_model_optimization"): "of [deploy] alone",
+    ("unet_fem.deployment.pruning", "tf_keras"): "of [deploy] alone",
+    ("unet_fem.deployment.twins", "tf_keras"): "of [deploy] alone",
+    ("unet_fem.deployment.smaller_runs", "unet_fem.deployment.pruning"): "of [deploy] alone",
+    ("unet_fem.evaluate", "unet_fem.training.judge"): "Keras, for which no refusal waits",
+    ("unet_fem.train", "unet_fem.training.fit"): "Keras, for which no refusal waits",
+    ("unet_fem.runtime.replay", "h5py"): "of [fem]; the runtime needs it for this command alone",
+}
 # The calls that end a process in library code, {module: why}.
-ENDS: dict[str, str] = {}
+ENDS = {"fem.workers": "a worker whose parent was killed must not compute on"}
 
 
 def imported(node, package):
@@ -129,7 +140,6 @@ def outside_functions(tree):
             yield from outside_functions(child)
 
 
-@PENDING
 def test_every_module_has_its_place_in_the_layers():
     packages = {module.split(".")[0] for module in FILES}
     unplaced = [
@@ -194,7 +204,6 @@ def test_the_runtime_and_the_base_import_with_everything_else_blocked():
     assert not run.returncode, run.stderr
 
 
-@PENDING
 def test_the_library_imports_no_command_line_and_ends_no_process():
     found = []
     for module in FILES.keys() - {*COMMANDS.split()}:
@@ -210,7 +219,6 @@ def test_the_library_imports_no_command_line_and_ends_no_process():
     assert not found
 
 
-@PENDING
 def test_an_import_changes_nothing_outside_itself():
     """No backend, style, environment, warning filter or global policy is set by an import."""
     calls = (
@@ -232,7 +240,6 @@ def test_an_import_changes_nothing_outside_itself():
     assert not found
 
 
-@PENDING
 def test_imports_inside_functions_are_few_and_each_has_a_reason():
     found = {
         (module, name) for module, rows in IMPORTS.items() for _, name, inside in rows if inside
@@ -251,7 +258,6 @@ def public_functions(tree):
                 yield node
 
 
-@PENDING
 def test_public_functions_are_annotated_and_documented():
     bare = []
     for module, tree in TREES.items():

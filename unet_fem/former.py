@@ -42,7 +42,6 @@ FORMER: Table = {
     "unet_fem.models": {
         "unet_fem.networks.unet": "unet",
         "unet_fem.networks.cnn_lstm": "cnn_lstm",
-        "unet_fem.networks.linear": "linear_regression",
         "unet_fem.networks.layers": "float32_twin",
     },
     "unet_fem.prune": {
@@ -64,7 +63,9 @@ FORMER: Table = {
         "unet_fem.training.fit": "build_model build_loss compile_model fit",
     },
     "unet_fem.study.frame_loop": {
-        "fem.solver.frame_loop": "Competitor FrameLoop longest_step loop_mesh coarse_mesh",
+        "fem.solver.frame_loop": (
+            "Competitor:LoopSettings FrameLoop longest_step loop_mesh coarse_mesh"
+        ),
     },
     "unet_fem.study.pod": {
         "fem.online.regression": "Regression",
@@ -80,5 +81,6 @@ GONE = {
     "unet_fem.config.ModelChoice": (
         "each kind of model has options of its own in unet_fem.networks.registry"
     ),
+    "unet_fem.models.linear_regression": "use unet_fem.networks.pod.linear, or model.kind",
     "unet_fem.study.pod.predict": "use regression.predict(force)",
 }

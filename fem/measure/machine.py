@@ -5,14 +5,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 
-def versions():
+def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     return {"python": platform.python_version()} | {
         name: version(name) for name in ("unet-fem", "numpy", "scipy", "h5py")
     }
 
 
-def processor():
+def processor() -> str:
     """Model name and vector extensions of this machine's processor."""
     try:
         text = Path("/proc/cpuinfo").read_text()

@@ -147,7 +147,7 @@ class HexMesh:
         return len(self.cells)
 
     @property
-    def grid_shape(self) -> tuple[int, int, int] | None:
+    def grid_shape(self) -> tuple[int, ...] | None:
         """(nx, ny, nz) of `grid`, or None."""
         return None if self.grid is None else self.grid.shape
 

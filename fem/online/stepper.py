@@ -49,5 +49,6 @@ def check_interval(interval: float | None, dt: float | None) -> None:
         raise InputError(f"dt = {dt} s must be positive and finite")
     if interval is not None and abs(dt - interval) > 1e-6 * interval:
         raise InputError(
-            f"dt = {dt:g} s, but this stepper is made for {interval:g} s between calls; leave dt out"
+            f"dt = {dt:g} s, but this stepper is made for {interval:g} s between calls;"
+            " leave dt out"
         )

@@ -1,5 +1,7 @@
 """Ridge regression in closed form, without an intercept: no force, no displacement."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.linalg
 
@@ -8,7 +10,12 @@ from fem.errors import InputError
 RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # chosen from on the validation data
 
 
-def fit(X, Y, ridges, validation=None):
+def fit(
+    X: np.ndarray,
+    Y: np.ndarray,
+    ridges: float | Sequence[float],
+    validation: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[np.ndarray, float]:
     """(kernel (p, q), ridge): W = (X^T X + ridge s I)^-1 X^T Y = X^T (X X^T + ridge s I)^-1 Y, by
     whichever matrix is smaller.
 
@@ -16,10 +23,10 @@ def fit(X, Y, ridges, validation=None):
     several cost one eigendecomposition, and the best on validation = (X, Y) is kept. Raises
     InputError if several come without validation.
     """
-    ridges = np.atleast_1d(ridges).tolist()
-    if len(ridges) > 1 and validation is None:
+    shares = np.atleast_1d(ridges).tolist()
+    if len(shares) > 1 and validation is None:
         raise InputError(
-            f"{len(ridges)} values of ridge and nothing to choose by; give validation or one value"
+            f"{len(shares)} values of ridge and nothing to choose by; give validation or one value"
         )
     dual = len(X) < X.shape[1]
     values, vectors = scipy.linalg.eigh(X @ X.T if dual else X.T @ X)
@@ -31,9 +38,9 @@ def fit(X, Y, ridges, validation=None):
     def coefficients(ridge):
         return target / (values + ridge * values[-1])[:, None]
 
-    if len(ridges) > 1:
+    if validation is not None and len(shares) > 1:
         reduced, truth = validation[0] @ basis, validation[1]
-        ridge = min(ridges, key=lambda r: np.sum((reduced @ coefficients(r) - truth) ** 2))
+        ridge = min(shares, key=lambda r: np.sum((reduced @ coefficients(r) - truth) ** 2))
     else:
-        ridge = ridges[0]
+        ridge = shares[0]
     return basis @ coefficients(ridge), ridge

@@ -11,14 +11,8 @@ from fem.data.dataset import Dataset
 from fem.online.volume import VOLUME_BAND
 from unet_fem.training.depth import by_depth, node_distance
 from unet_fem.training.samples import Samples
-from unet_fem.training.section import (  # noqa: F401  for the figures of the study
-    displacement_fields,
-    draw_section,
-    most_displaced,
-    move_section,
-    section_plane,
-)
-from unet_fem.training.style import STYLE, save, styled, subplots
+from unet_fem.training.section import displacement_fields
+from unet_fem.training.style import save, styled, subplots
 
 LIMIT_96 = 2.054  # standard deviations that hold 96 % of a normal distribution
 
@@ -167,14 +161,3 @@ def interaction_curves(
         *axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7
     )
     return figure
-
-
-def __getattr__(name: str) -> object:
-    """`plt`, for the figures of the study: pyplot without a window, in this style."""
-    if name != "plt":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import matplotlib.pyplot as plt
-
-    plt.switch_backend("Agg")
-    plt.rcParams.update(STYLE)
-    return plt

@@ -59,11 +59,12 @@ def vet(settings: Settings, resume: bool = False) -> None:
     vet_folder(settings, resume)
     scene = load_scene(settings.scene)
     if Path(settings.data).is_file():
-        grid = matching_dataset(settings, scene).grid
+        grid: tuple[int, ...] | None = matching_dataset(settings, scene).grid
     else:
         grid = scene.mesh.grid or scene.mesh.build().grid_shape
     if grid:  # without one the dataset cannot be made, and making it tells why
-        settings.model.check(grid)
+        nx, ny, nz = grid
+        settings.model.check((nx, ny, nz))
 
 
 def vet_folder(settings: Settings, resume: bool = False) -> None:

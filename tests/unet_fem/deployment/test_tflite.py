@@ -11,7 +11,6 @@ from unet_fem.deployment import tflite as lite
 from unet_fem.deployment.tflite_graph import audit
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.networks.layers import float32_twin
-from unet_fem.networks.linear import linear_regression
 from unet_fem.networks.unet import unet
 
 SMALL = (9, 9, 5)
@@ -29,12 +28,9 @@ def build(name, grid=SMALL):
     scaled = {"force_scale": 0.5, "displacement_scale": 0.3, "mask": mask}
     if name == "unet":
         model, x = unet(grid, 4, **scaled), forces(8, *grid, 3)
-    elif name == "cnn_lstm":
+    else:
         cells = (grid[0] // 4) * (grid[1] // 4) * (grid[2] // 3)
         model, x = cnn_lstm(grid, 2 * cells, 3, **scaled), forces(8, 3, *grid, 3)
-    else:
-        x = forces(8, 2, *grid, 3)
-        return linear_regression(x, forces(8, *grid, 3, seed=2), mask, ridge=1e-3), x
     model.set_weights(
         [w + 0.1 * forces(*w.shape, seed=n) for n, w in enumerate(model.get_weights())]
     )
@@ -65,7 +61,7 @@ def test_float32_equals_keras_on_any_grid(name, grid):
     assert worst(run(lite.export(model, "float32"), x), model(x)) < 1e-5
 
 
-@pytest.mark.parametrize("name", ["unet", "cnn_lstm", "linear"])
+@pytest.mark.parametrize("name", ["unet", "cnn_lstm"])
 @pytest.mark.parametrize("variant, limit", [("float16", 2e-3), ("dynamic", 8e-2), ("int8", 8e-2)])
 def test_smaller_variants_stay_close_to_keras(name, variant, limit):
     model, x = build(name)
@@ -73,11 +69,6 @@ def test_smaller_variants_stay_close_to_keras(name, variant, limit):
     answer, keras_answer = run(data, x), np.asarray(model(x))
     assert worst(answer, keras_answer) < limit
     assert not answer[:, ~np.any(keras_answer, axis=(0, -1))].any()  # the mask is exact
-
-
-def test_linear_regression_equals_keras():
-    model, x = build("linear")
-    assert worst(run(lite.export(model, "float32"), x), model(x)) < 1e-5
 
 
 @pytest.mark.slow
