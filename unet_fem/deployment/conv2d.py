@@ -40,7 +40,7 @@ def _check(layer):
     """Raises InputError for the options of a layer that its expression leaves out."""
     if isinstance(layer, layers.Conv3D):
         same = layer.padding == "same" or set(layer.kernel_size) == {1}
-        cube = len(set(layer.kernel_size)) == 1 and layer.kernel_size[0] % 2
+        cube = len(set(layer.kernel_size)) == 1
         if not (
             same
             and cube
@@ -48,7 +48,7 @@ def _check(layer):
             and {layer.groups, *layer.strides, *layer.dilation_rate} == {1}
         ):
             raise InputError(
-                f"layer {layer.name}: only convolutions with bias, odd cubic kernel, 'same' padding"
+                f"layer {layer.name}: only convolutions with bias, cubic kernel, 'same' padding"
                 " and no strides deploy"
             )
     if isinstance(layer, layers.MaxPooling3D) and layer.strides != layer.pool_size:
@@ -72,14 +72,15 @@ def _restored(x, shape, axis):
 
 
 def _conv(layer, weights, x):
-    """The slices x - 1, x, x + 1 side by side as channels, and one 2-D convolution over (y, z)."""
+    """The slices x - 1, x, x + 1 side by side as channels, and one 2-D convolution over (y, z); an
+    even kernel reaches one farther up, as "same" padding has it."""
     B, X, Y, Z, C = x.shape
     kernel, bias = weights  # (k, k, k, C, F), (F,)
     k = len(kernel)
     axis = int(B > 1)
     x = tf.reshape(x, (B, X, Y * Z, C) if axis else (X, Y, Z, C))
     if k > 1:
-        x = tf.pad(x, [(k // 2, k // 2) if n == axis else (0, 0) for n in range(4)])
+        x = tf.pad(x, [((k - 1) // 2, k // 2) if n == axis else (0, 0) for n in range(4)])
     depth = [x[:, d : d + X] if axis else x[d : d + X] for d in range(k)]
     depth = [tf.reshape(part, (B * X, Y, Z, C)) for part in depth]
     kernel = kernel.transpose(1, 2, 0, 3, 4).reshape(

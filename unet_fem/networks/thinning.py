@@ -29,12 +29,13 @@ def thin_unet(model: keras.Model, small: keras.Model) -> None:
         "bottleneck_conv1",
         "bottleneck_conv2",
         "decoder_conv1",
+        "decoder_conv2",
     ):
         x = shrink(name, x)
-    # the skip connection brings the second convolution's channels behind those of the first of the
-    # decoder
-    x = np.concatenate([x, kept["encoder_conv2"] + model.get_layer("decoder_conv1").filters])
-    for name in (f"decoder_conv{n}" for n in range(2, 7)):
+    # the skip connection brings the second convolution's channels behind those of the decoder's
+    # second
+    x = np.concatenate([x, kept["encoder_conv2"] + model.get_layer("decoder_conv2").filters])
+    for name in (f"decoder_conv{n}" for n in range(3, 6)):
         x = shrink(name, x)
 
 

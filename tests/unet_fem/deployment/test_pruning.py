@@ -54,7 +54,6 @@ def test_a_thin_unet_without_its_silent_filters_computes_the_same():
         "decoder_conv1",
         "decoder_conv2",
         "decoder_conv3",
-        "decoder_conv5",
     ):
         silence(model, name, slice(1, None, 2))
     for name in ("bottleneck_conv1", "bottleneck_conv2", "decoder_conv4"):
@@ -129,7 +128,7 @@ def test_magnitude_pruning_zeroes_the_share_that_was_asked_for(kind, size, preci
     assert len(convolutions) >= 3
     for layer in convolutions:
         kernel = layer.get_weights()[0]
-        assert (kernel == 0).mean() == pytest.approx(0.8, abs=0.03), layer.name
+        assert (kernel == 0).mean() == pytest.approx(0.8, abs=max(0.03, 1 / kernel.size)), layer.name
         assert np.any(kernel.view("uint32") & 0xFFFF), (
             layer.name
         )  # not rounded to bfloat16 on the way
