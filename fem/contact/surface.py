@@ -12,14 +12,15 @@ from fem.mesh.hexmesh import HexMesh
 
 
 class Surface:
-    """The free surface of a mesh, with quadrature points that turn a footprint into consistent
-    nodal forces."""
+    """The surface of a mesh that contacts push on (HexMesh.contact_faces), with quadrature points
+    that turn a footprint into consistent nodal forces; none of these falls on a held node."""
 
     def __init__(self, mesh: HexMesh) -> None:
-        faces = mesh.free_faces
+        faces = mesh.contact_faces
         if not len(faces):
             raise InputError(
-                "the mesh has no free surface to push on: every boundary node is fixed"
+                "the mesh has no free surface to push on: every boundary face touches a fixed node;"
+                " fix less, or refine it"
             )
         points = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3)
         shape, gradient = element.quad_shape(points)  # (4, 4), (4, 2, 4)
@@ -36,18 +37,20 @@ class Surface:
         weight = np.broadcast_to(shape, row.shape)
         entries = (weight.ravel(), (row.ravel(), np.broadcast_to(column, row.shape).ravel()))
         self.spread = scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
-        rim = mesh.points[np.union1d(faces[mesh.fixed[faces]], _edge_nodes(faces))]
-        self.clearance = scipy.spatial.cKDTree(rim).query(self.points)[
-            0
-        ]  # (P,) m, inf without a rim
+        rim = scipy.spatial.cKDTree(mesh.points[mesh.contact_rim])
+        self.clearance = rim.query(self.points)[0]  # (P,) m, inf without a rim
 
     def footprint(self, centre: np.ndarray, radius: float) -> np.ndarray:
         """Share of a unit force that each node takes, (N,): consistent with the pressure (1 -
         r^2/R^2)^2, sum exactly 1.
 
         r is measured along the surface's tangent plane under the centre, so that a straight path
-        may cut through a curved surface, and never reaches the other side of a thin wall. Raises
-        InputError if the circle holds no point of the surface.
+        may cut through a curved surface, and never reaches the other side of a thin wall. Over a
+        step it pushes on both levels; seen along the normal the resultant then stays within 1 % of
+        the radius of the centre, and its height is that of the faces that carry it, so that the
+        line of action of a force tilted by 30 degrees is off by up to 7 % of the radius (measured
+        on the tumour). What reaches over the rim, nearer to it than the radius, is cut, and the
+        rest takes the whole force. Raises InputError if the circle holds no point of the surface.
         """
         offset = self.points - centre
         squared = np.einsum("pi,pi->p", offset, offset)
@@ -75,10 +78,3 @@ def surface_of(mesh: HexMesh) -> Surface:
 def bump(x: np.ndarray) -> np.ndarray:
     """(1 - x)^2 from x = 0 to 1, then 0."""
     return np.square(np.clip(1 - x, 0, None))
-
-
-def _edge_nodes(faces):
-    """The nodes on the edge of the surface that the quadrilaterals `faces` (M, 4) make up."""
-    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    side, count = np.unique(sides, axis=0, return_counts=True)
-    return side[count == 1]

@@ -113,7 +113,7 @@ class Embedding:
 
 def _main_axis(mesh):
     """The axis, +-x, y or z as three integers, that the loaded surface mostly faces."""
-    a, b, c, d = np.moveaxis(mesh.points[mesh.free_faces], 1, 0)
+    a, b, c, d = np.moveaxis(mesh.points[mesh.contact_faces], 1, 0)
     area = np.cross(c - a, d - b).sum(axis=0)
     axis = np.zeros(3, int)
     axis[np.abs(area).argmax()] = np.sign(area[np.abs(area).argmax()])

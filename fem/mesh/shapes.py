@@ -6,7 +6,8 @@ import numpy as np
 
 from fem.errors import InputError
 from fem.mesh import element
-from fem.mesh.hexmesh import HexMesh, outer_faces
+from fem.mesh.hexmesh import HexMesh
+from fem.mesh.places import outer_faces
 from fem.online.grid import NodeGrid
 
 TUMOUR_EDGE = (
