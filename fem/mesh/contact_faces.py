@@ -3,7 +3,6 @@
 On a mesh with a regular grid in its connectivity, however it is bent, a face looks up if it lies on
 the side of its cell that most of the loaded surface lies on; faces on other sides are the walls of
 steps, and take no contact. On a mesh without one every face of the loaded surface takes contact.
-Faces that touch a held node take none, so that no force falls on held nodes.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ UP = np.array([0, 0, 1])
 
 
 def contact_surface(mesh: HexMesh) -> tuple[np.ndarray, np.ndarray]:
-    """(faces (M, 4), rim (n,)): the free faces that look up and touch no held node, and the nodes
-    of the surface's rim.
+    """(faces (M, 4), rim (n,)): the free faces that look up, and the nodes of their rim.
 
     The rim is the held nodes of the faces that look up, and the outline of these faces seen from
     above. So the edge of a step is no rim, for the surface goes on below it.
@@ -41,7 +39,7 @@ def contact_surface(mesh: HexMesh) -> tuple[np.ndarray, np.ndarray]:
     side, count = np.unique(sides, axis=0, return_counts=True)
     nodes = np.unique(faces)
     rim = nodes[mesh.fixed[nodes] | np.isin(column[nodes], side[count == 1])]
-    return faces[~mesh.fixed[faces].any(axis=1)], rim
+    return faces, rim
 
 
 def main_side(mesh: HexMesh, places: np.ndarray) -> np.ndarray:

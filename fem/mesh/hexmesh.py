@@ -208,8 +208,8 @@ class HexMesh:
 
     @cached_property
     def contact_faces(self) -> np.ndarray:
-        """(M, 4) the free faces that contacts push on: those that look up and touch no held node,
-        see fem.mesh.contact_faces."""
+        """(M, 4) the free faces that contacts push on: those that look up, see
+        fem.mesh.contact_faces."""
         return self._contact_surface[0]
 
     @cached_property

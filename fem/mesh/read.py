@@ -54,11 +54,6 @@ def read_mesh(
                 f"mesh.loaded = '{loaded}' holds no free boundary face, with all its four nodes"
                 " selected and one of them not fixed"
             )
-        if not len(mesh.contact_faces):
-            raise InputError(
-                f"mesh.loaded = '{loaded}' holds no face that can be pushed on: each touches a"
-                " fixed node; load a wider surface, or fix less"
-            )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return mesh

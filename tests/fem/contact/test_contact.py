@@ -57,9 +57,9 @@ def many_draws(surface, ranges=RANGES, factor=None, n=60):
 
 
 def test_surface_area_and_normals_of_a_flat_top():
-    """Contacts push on the top of a block held at bottom and sides, away from its rim: area, and
-    normals straight up."""
-    top = Surface(box((6, 5, 2), EDGE))
+    """The free surface of a block held at bottom and sides is its top: area, and normals straight
+    up."""
+    top = Surface(box((4, 3, 2), EDGE))
     assert top.area.sum() == pytest.approx(12 * EDGE**2, rel=1e-12)
     assert np.allclose(top.normal, [0, 0, 1])
 
@@ -122,7 +122,7 @@ def test_contacts_start_on_the_bump_beside_it_and_cross_its_edge(surface, drawn)
 
 def test_a_footprint_over_a_step_keeps_its_force_and_its_line_of_action(surface, drawn):
     """On and across the bump's edge the nodal forces add up to the contact's force to 1e-12, none
-    of them on a held node; seen from above the resultant is within 1 % of the radius of the centre.
+    of them on a held node; seen from above the resultant is within 0.3 % of the radius of the centre.
     It lies as high as the surface that carries it, so that for a tilted force the line of action is
     off by up to 7 % of the radius."""
     mesh = tumour()
@@ -131,19 +131,19 @@ def test_a_footprint_over_a_step_keeps_its_force_and_its_line_of_action(surface,
             share = surface.footprint(c.centre(t), c.radius)
             off = share @ mesh.points - c.centre(t)
             assert abs(share.sum() - 1) < 1e-12 and not share[mesh.fixed].any()
-            assert np.linalg.norm(off[:2]) < 0.01 * c.radius
+            assert np.linalg.norm(off[:2]) < 0.003 * c.radius
             assert np.linalg.norm(np.cross(off, c.direction)) < 0.07 * c.radius
 
 
 def test_a_footprint_that_reaches_over_the_rim_is_cut(surface):
-    """What of it lies on faces that touch held nodes, or beyond, falls away; the rest takes the
-    whole force, so that the resultant moves inwards."""
+    """What of it would fall on held nodes, or beyond, falls away; the rest takes the whole force,
+    so that the resultant moves inwards."""
     mesh, radius = tumour(), 2.4e-3
     x, y = 0.75e-3, 8 * TUMOUR_EDGE
     share = surface.footprint(np.array([x, y, 5 * TUMOUR_EDGE]), radius)
     resultant = share @ mesh.points
     assert abs(share.sum() - 1) < 1e-12 and not share[mesh.fixed].any()
-    assert x + 0.2 * radius < resultant[0] < x + 0.45 * radius
+    assert x + 0.1 * radius < resultant[0] < x + 0.3 * radius
     assert resultant[1] == pytest.approx(y, abs=1e-3 * radius)
 
 

@@ -16,7 +16,7 @@ from fem.data.interaction import contacts_of, simulate
 from fem.data.scene import SolverChoice
 from fem.errors import SolverStopped
 from fem.files import save_arrays
-from fem.mesh.shapes import from_voxels
+from fem.mesh.shapes import refined
 from fem.workers import on_all_cores
 
 
@@ -221,12 +221,3 @@ def _simulate(dataset, choice, fine, split, number, path):
             else dataset.on_grid(found["force"], displacement)[1]
         )
         save_arrays(path, displacement=on_grid)
-
-
-def refined(mesh):
-    """A mesh of cubes (tumour or box) with every cube cut into eight; nodes of the old grid are
-    every second of the new one."""
-    keep = np.zeros(np.array(mesh.grid_shape) - 1, bool)
-    keep[np.unravel_index(mesh.grid_index[mesh.cells[:, 0]], mesh.grid_shape)] = True
-    edge = np.ptp(mesh.points[mesh.cells[0], 0])
-    return from_voxels(keep.repeat(2, 0).repeat(2, 1).repeat(2, 2), edge / 2, "all but top")
