@@ -56,7 +56,7 @@ class Push:
     """A push at one place that rises and is then held: the simplest Contact.
 
     at: "top" (the highest part of the surface that can be pushed on), "middle" (farthest from its
-    edge), "rim" (nearest to it), or a point (x, y, z) in m; force: N, below 0 pulls; radius: of the
+    rim), "rim" (nearest to it), or a point (x, y, z) in m; force: N, below 0 pulls; radius: of the
     footprint, m; direction: of the force, straight inwards if left out; onset, ramp: s.
     """
 

@@ -12,11 +12,11 @@ from fem.mesh.hexmesh import HexMesh
 
 
 class Surface:
-    """The free surface of a mesh, with quadrature points that turn a footprint into consistent
-    nodal forces."""
+    """The surface of a mesh that contacts push on (HexMesh.contact_faces), with quadrature points
+    that turn a footprint into consistent nodal forces; none of these falls on a held node."""
 
     def __init__(self, mesh: HexMesh) -> None:
-        faces = mesh.free_faces
+        faces = mesh.contact_faces
         if not len(faces):
             raise InputError(
                 "the mesh has no free surface to push on: every boundary node is fixed"
@@ -35,19 +35,23 @@ class Surface:
         row = np.broadcast_to(faces[:, None], (len(faces), 4, 4))
         weight = np.broadcast_to(shape, row.shape)
         entries = (weight.ravel(), (row.ravel(), np.broadcast_to(column, row.shape).ravel()))
-        self.spread = scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
-        rim = mesh.points[np.union1d(faces[mesh.fixed[faces]], _edge_nodes(faces))]
-        self.clearance = scipy.spatial.cKDTree(rim).query(self.points)[
-            0
-        ]  # (P,) m, inf without a rim
+        free = scipy.sparse.diags((~mesh.fixed).astype(float))
+        self.spread = free @ scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
+        rim = scipy.spatial.cKDTree(mesh.points[mesh.contact_rim])
+        self.clearance = rim.query(self.points)[0]  # (P,) m, inf without a rim
 
     def footprint(self, centre: np.ndarray, radius: float) -> np.ndarray:
         """Share of a unit force that each node takes, (N,): consistent with the pressure (1 -
         r^2/R^2)^2, sum exactly 1.
 
         r is measured along the surface's tangent plane under the centre, so that a straight path
-        may cut through a curved surface, and never reaches the other side of a thin wall. Raises
-        InputError if the circle holds no point of the surface.
+        may cut through a curved surface, and never reaches the other side of a thin wall. Over a
+        step it pushes on both levels; seen along the normal the resultant then stays within 0.3 % of
+        the radius of the centre, and its height is that of the faces that carry it, so that the
+        line of action of a force tilted by 30 degrees is off by up to 7 % of the radius (measured
+        on the tumour). What would fall on held nodes, or beyond the rim, falls away, and the rest
+        takes the whole force: so a centre nearer to the rim than the radius has its resultant moved
+        inwards. Raises InputError if the circle holds no point of the surface.
         """
         offset = self.points - centre
         squared = np.einsum("pi,pi->p", offset, offset)
@@ -57,13 +61,14 @@ class Surface:
         height = offset @ normal
         distance = np.linalg.norm(offset - height[:, None] * normal, axis=1)
         pressure = near * (np.abs(height) < radius) * bump(np.square(distance / radius)) * self.area
-        total = pressure.sum()
+        share = self.spread @ pressure
+        total = share.sum()
         if total == 0:
             raise InputError(
                 f"a footprint of radius {radius:g} m at {np.array2string(centre, precision=4)} m"
                 " misses the free surface; widen contact.radius"
             )
-        return self.spread @ (pressure / total)
+        return share / total
 
 
 @functools.lru_cache(maxsize=8)
@@ -75,10 +80,3 @@ def surface_of(mesh: HexMesh) -> Surface:
 def bump(x: np.ndarray) -> np.ndarray:
     """(1 - x)^2 from x = 0 to 1, then 0."""
     return np.square(np.clip(1 - x, 0, None))
-
-
-def _edge_nodes(faces):
-    """The nodes on the edge of the surface that the quadrilaterals `faces` (M, 4) make up."""
-    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    side, count = np.unique(sides, axis=0, return_counts=True)
-    return side[count == 1]

@@ -20,7 +20,7 @@ from fem.locks import lock
 from fem.mesh.hexmesh import HexMesh
 from fem.workers import on_all_cores
 
-SIMULATION_VERSION = 1  # raise it when the same scene gives other interactions than before
+SIMULATION_VERSION = 2  # raise it when the same scene gives other interactions than before
 
 
 def generate(

@@ -14,12 +14,12 @@ from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.node_grid import node_grid
 from fem.mesh.read import check_held, read_mesh
-from fem.mesh.shapes import TUMOUR_CELLS, TUMOUR_EDGE, box, tumour
+from fem.mesh.shapes import TUMOUR_EDGE, box, tumour
 
 # which settings of MeshChoice mean something for which kind of mesh, and what they are if left out
 MESH_KINDS: dict[str, dict[str, object]] = {
-    "tumour": {"edge": TUMOUR_EDGE, "cells": TUMOUR_CELLS},
-    "box": {"edge": TUMOUR_EDGE, "cells": TUMOUR_CELLS, "fixed": "all but top", "loaded": None},
+    "tumour": {"edge": TUMOUR_EDGE},
+    "box": {"edge": TUMOUR_EDGE, "cells": (16, 16, 7), "fixed": "all but top", "loaded": None},
     "file": {
         "file": None,
         "scale": 1.0,
@@ -36,8 +36,7 @@ MESH_KINDS: dict[str, dict[str, object]] = {
 class MeshChoice:
     """kind: "tumour", "box", "file" or "given" ("file" if a file is given, else "tumour").
 
-    edge: of a cube of the tumour or box, m; cells: of the box along x, y, z (the tumour is cut from
-    16, 16, 7)
+    edge: of a cube of the tumour or box, m; cells: of the box along x, y, z
     file: mesh to read, relative to the scene file; scale: m per unit of length in it, 1 if left out
     fixed, loaded: selections of the held nodes and of the surface to push on, see fem.mesh.select
     and fem.mesh.read; a box is held "all but top" if left out
@@ -75,11 +74,6 @@ class MeshChoice:
                     f"mesh.{field_.name} = {value!r} has no meaning for mesh.kind = '{kind}';"
                     " leave it out"
                 )
-        if kind == "tumour" and self.cells != TUMOUR_CELLS:
-            raise InputError(
-                f"mesh.cells = {self.cells} has no meaning for mesh.kind = 'tumour', which is"
-                f" cut from {TUMOUR_CELLS}; leave it out, or take kind = 'box'"
-            )
         if kind == "file" and not self.file:
             raise InputError("mesh.kind = 'file' needs mesh.file, such as 'liver.vtu'")
         for name in ("scale", "edge"):

@@ -79,7 +79,7 @@ def gentle_load(mesh: HexMesh) -> np.ndarray:
     """A constant nodal load on the free surface that moves the tissue by a few per cent of a
     cell."""
     load = np.zeros((3, mesh.n_nodes))
-    nodes = np.unique(mesh.free_faces)
+    nodes = np.unique(mesh.contact_faces)
     load[2, nodes] = -20.0 * mesh.volume() ** (2 / 3) / len(nodes)  # about 20 Pa
     return load
 

@@ -58,7 +58,8 @@ class Embedding:
         spacing = extent / (np.array(self.shape) - 1)
         places = (points - low) / spacing  # (N, 3) in cells of the grid
         weights = _interpolation(places, self.shape)
-        filled = _filled(places[mesh.cells], self.shape)  # share of each cell's volume
+        self._corners = places[mesh.cells]  # (E, 8, 3)
+        filled = self.filled()
         by_fill = np.argsort(-filled, kind="stable")
         cells = _cells(self.shape)  # (C, 8) every cell of the grid
         count = max(1, round(filled.sum()))
@@ -85,6 +86,10 @@ class Embedding:
             + 1e-10 * scipy.sparse.identity(self._rows.shape[1])
         )
         self._solve = scipy.sparse.linalg.factorized(normal.tocsc())
+
+    def filled(self, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Share (C,) of each grid cell's volume that the mesh, or some `cells` of it, fills."""
+        return _filled(self._corners[cells], self.shape)
 
     def displacement_to_grid(self, u: np.ndarray) -> np.ndarray:
         """Values (..., N, 3) at the mesh's nodes as values (..., n, 3) at the nodes of grid_mesh,

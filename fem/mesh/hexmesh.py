@@ -9,6 +9,8 @@ import numpy as np
 
 from fem.errors import InputError
 from fem.mesh import element
+from fem.mesh.contact_faces import contact_surface
+from fem.mesh.places import outer_faces
 from fem.mesh.select import select
 from fem.online.grid import NodeGrid
 
@@ -199,19 +201,25 @@ class HexMesh:
 
     @cached_property
     def free_faces(self) -> np.ndarray:
-        """(M, 4) where contact can act: the boundary faces of the loaded surface with a node that
-        is not fixed."""
+        """(M, 4) the boundary faces of the loaded surface with a node that is not fixed."""
         faces = self.boundary_faces
         free = ~self.fixed[faces].all(axis=1)
         return faces[free if self.loaded is None else free & self.loaded[faces].all(axis=1)]
 
+    @cached_property
+    def contact_faces(self) -> np.ndarray:
+        """(M, 4) the free faces that contacts push on: those that look up, see
+        fem.mesh.contact_faces."""
+        return self._contact_surface[0]
 
-def outer_faces(cells: np.ndarray) -> np.ndarray:
-    """(M,) the faces of `cells` (E, 8) that belong to one cell only, as 6 * cell + face of
-    fem.mesh.element.FACES."""
-    faces = np.sort(cells[:, element.FACES].reshape(-1, 4), axis=1)
-    _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
-    return np.sort(first[count == 1])
+    @cached_property
+    def contact_rim(self) -> np.ndarray:
+        """(n,) the nodes around the surface that contacts push on, see fem.mesh.contact_faces."""
+        return self._contact_surface[1]
+
+    @cached_property
+    def _contact_surface(self):
+        return contact_surface(self)
 
 
 def _kept(name, values, shape, kinds, dtype):

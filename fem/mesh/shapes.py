@@ -1,16 +1,54 @@
 """Meshes of cubes, boxes, voxels and the tumour, and any mesh with its cells cut into eight."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fem.errors import InputError
 from fem.mesh import element
-from fem.mesh.hexmesh import HexMesh, outer_faces
+from fem.mesh.hexmesh import HexMesh
+from fem.mesh.places import outer_faces
 from fem.online.grid import NodeGrid
 
 TUMOUR_EDGE = (
     0.5087e-3  # m: 1314 cubes of this edge make 173.0 mm3, so that 7 % is the paper's 12.1 mm3
 )
-TUMOUR_CELLS = (16, 16, 7)  # of the block that the tumour is cut from
+TUMOUR_SHAPE = (16, 16, 6)  # cells of the lattice: five full layers, and the bump on them
+# The end of the third axis at which the tumour's grid has a layer without nodes, for the mesh has 7
+# and the grid 8: "below", so that the bump's top is the last layer, or "above". The code that the
+# paper's authors published has a grid of 7 layers, and its U-Net pads at the high end of each axis.
+VOID = "below"
+# Cells of the tumour itself, layer by layer from below: rows 4 to 10 along y, columns 0 to 15 along
+# x. All others of the five full layers are tissue around it. These are facts read from the mesh
+# file that the authors published beside the paper.
+TUMOUR_ROWS = {
+    2: """
+        .......##.......
+        ......####......
+        .....######.....
+        .....######.....
+        .....######.....
+        ......####......
+        .......##.......""",
+    3: """
+        ......####......
+        .....######.....
+        .....######.....
+        ....########....
+        ....########....
+        .....######.....
+        ......####......""",
+    5: """
+        .......##.......
+        .....######.....
+        .....######.....
+        .....######.....
+        .....######.....
+        .....######.....
+        .......##.......""",
+}
+TUMOUR_ROWS[4] = TUMOUR_ROWS[3]
+FIRST_ROW = 4  # along y, of TUMOUR_ROWS
 UNIT = ((element.CORNERS + 1) / 2).astype(int)  # (8, 3) corners of a cell from 0 to 1
 CUTS = np.indices((3, 3, 3)).reshape(3, -1).T - 1  # (27, 3) corners of its eight parts, -1 to 1
 PARTS = np.ravel_multi_index(np.moveaxis(UNIT[:, None] + UNIT, -1, 0), (3, 3, 3))  # (8, 8) of CUTS
@@ -66,15 +104,35 @@ def box(cells: tuple[int, int, int], edge: float, fixed: str = "all but top") ->
 
 
 def tumour(edge: float = TUMOUR_EDGE) -> HexMesh:
-    """The paper's tumour: 1782 nodes and 1314 cubes on a 17 x 17 x 8 node grid, top free, all else
-    fixed.
+    """The paper's mesh: 1782 nodes and 1314 cubes of `edge` m, a block of tissue with the tumour in
+    it, which ends in a bump on its top; bottom and walls held, on a 17 x 17 x 8 node grid.
 
-    A truncated ellipsoid reproduces both counts of arXiv 2301.04614; the shape itself is not
-    published.
+    Its cell sets are `tissue` (1166 cells, numbered first) and `tumour` (148), each with x fastest
+    and z slowest; its node sets `bottom`, `walls` (with the rim of the fifth layer) and `top`, the
+    bump's. Source: the mesh that the authors of arXiv 2301.04614 published beside it.
     """
-    x, y, z = np.meshgrid(*(np.arange(n) + 0.5 for n in TUMOUR_CELLS), indexing="ij")
-    keep = ((x - 8.1) ** 2 + (y - 8.0) ** 2) / 8.0**2 + ((z - 5.5) / 7.0) ** 2 <= 1.10181442
-    return from_voxels(keep, edge, "all but top")
+    nx, ny, full = *TUMOUR_SHAPE[:2], TUMOUR_SHAPE[2] - 1
+    lump = np.zeros(TUMOUR_SHAPE, bool)
+    for layer, text in TUMOUR_ROWS.items():
+        rows = np.array([list(row) for row in text.split()]) == "#"  # (y, x)
+        lump[:, FIRST_ROW : FIRST_ROW + len(rows), layer] = rows.T
+    keep = lump.copy()
+    keep[..., :full] = True
+    mesh = from_voxels(keep, edge, "none")
+    cell = np.argwhere(keep)
+    order = np.lexsort((*cell.T, lump[keep]))
+    i, j, k = places = np.rint(mesh.points / edge).astype(int).T
+    walls = (k <= full) & ((i == 0) | (i == nx) | (j == 0) | (j == ny))
+    shape = (nx + 1, ny + 1, full + 3)
+    void = np.array([0, 0, VOID == "below"])[:, None]
+    return replace(
+        mesh,
+        cells=mesh.cells[order],
+        fixed=walls | (k == 0),
+        grid=NodeGrid(shape, np.ravel_multi_index(tuple(places + void), shape)),
+        node_sets={**mesh.node_sets, "walls": walls},
+        cell_sets={"tissue": ~lump[keep][order], "tumour": lump[keep][order]},
+    )
 
 
 def refined(mesh: HexMesh) -> HexMesh:

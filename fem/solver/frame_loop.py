@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse
+import scipy.spatial
 
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
@@ -228,28 +229,69 @@ def coarse_mesh(mesh: HexMesh) -> tuple[HexMesh, scipy.sparse.csr_matrix]:
     """(HexMesh, A): a tumour or box with half as many cells along each axis, and displacement from
     its nodes to those of `mesh`, (N, n) sparse.
 
-    An odd number of cells rounds to even, the cells then are no cubes. Of the coarse grid those
-    cells are kept that are fullest and together have the volume of `mesh`; A is trilinear
-    interpolation, so that forces go the other way by its transpose (see fem.mesh.embedding). Raises
-    InputError for a mesh that lies on no node grid.
+    An odd number of cells rounds to even, the cells then are no cubes; along the third axis the
+    layers between two levels of the surface are halved by themselves, so that every level stays
+    where it is: the tumour's five full layers become two, and its bump of one layer stays one, so
+    that the stable step grows by a third only. Of the coarse grid those cells are kept that are at
+    least half full; a node is held if the node of `mesh` next to it is, and a cell is in a set if
+    more than half of what fills it is. A is trilinear interpolation, and its transpose takes forces
+    the other way; beside the coarse mesh, where a step has been rounded off, displacement is that
+    of the coarse nodes near by. Raises InputError for a mesh that lies on no node grid, or too
+    little of which would be left.
     """
     if mesh.grid is None:
         raise InputError(
             "a coarse mesh is made on the node grid, and this mesh does not lie on one;"
             " set coarse = False or take mesh.kind = 'tumour' or 'box'"
         )
-    nx, ny, nz = (max(1, round((n - 1) / 2)) + 1 for n in mesh.grid.shape)
-    embedding = Embedding(mesh, (nx, ny, nz))
-    around, index = embedding.grid_mesh, _index(embedding.grid_mesh)
-    keep = np.zeros((nx - 1, ny - 1, nz - 1), bool)
-    keep[np.unravel_index(index[around.cells[:, 0]], (nx, ny, nz))] = True
-    cubes = from_voxels(keep, 1.0, "all but top")
     low, size = mesh.points.min(axis=0), np.ptp(mesh.points, axis=0)
-    coarse = replace(cubes, points=low + cubes.points * size / np.array([nx - 1, ny - 1, nz - 1]))
-    kept = np.searchsorted(index, _index(coarse))
-    return coarse, embedding.to_mesh_matrix[:, kept].tocsr()
+    halves, planes, heights = _halved(mesh)
+    shape = (*halves, planes[-1])
+    even = planes / planes[-1] * size[2] + low[2]  # heights of a grid of equal layers
+    points = np.column_stack([mesh.points[:, :2], np.interp(mesh.points[:, 2], heights, even)])
+    embedding = Embedding(replace(mesh, points=points), tuple(n + 1 for n in shape))
+    filled = embedding.filled()
+    keep = filled >= 0.5 - 1e-9
+    cubes = from_voxels(keep.reshape(shape), 1.0, "none")
+    places = low + cubes.points * size / shape  # in the grid of equal layers
+    _, nearest = scipy.spatial.cKDTree(points).query(places)
+    coarse = replace(
+        cubes,
+        points=np.column_stack([places[:, :2], np.interp(places[:, 2], even, heights)]),
+        fixed=mesh.fixed[nearest],
+        cell_sets={
+            name: (embedding.filled(chosen) > (0.5 + 1e-9) * filled)[keep]
+            for name, chosen in mesh.cell_sets.items()
+        },
+    )
+    kept = np.searchsorted(_index(embedding.grid_mesh), _index(coarse))
+    A = embedding.to_mesh_matrix[:, kept].tocsr()
+    weight = np.asarray(A.sum(axis=1)).ravel()
+    if not weight.all():
+        raise InputError(
+            f"node {int(weight.argmin())} of the mesh lies beside what is left of it on half as"
+            " many cells; set coarse = False"
+        )
+    return coarse, scipy.sparse.diags(1 / weight) @ A
 
 
 def _index(mesh):
     """Places of the nodes in the mesh's own node grid."""
     return mesh.grid.index
+
+
+def _halved(mesh):
+    """(numbers of coarse cells along x and y, coarse layers below each level of the surface, their
+    heights in m); bottom and top are levels too."""
+    places = np.stack(np.unravel_index(mesh.grid.index, mesh.grid.shape), axis=1)
+    layer = places[:, 2]
+    faces = layer[mesh.contact_faces]
+    flat = faces[np.ptp(faces, axis=1) == 0]
+    levels = np.unique([layer.min(), *flat.ravel(), layer.max()])
+    planes = np.cumsum([0, *(_half(n) for n in np.diff(levels))])
+    heights = [mesh.points[layer == level, 2].min() for level in levels]
+    return tuple(_half(n) for n in np.ptp(places[:, :2], axis=0)), planes, np.array(heights)
+
+
+def _half(n):
+    return max(1, round(int(n) / 2))

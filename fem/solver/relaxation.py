@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fem.online.creep import exponential_weights
 from fem.solver.stresses import Weights
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -18,18 +19,13 @@ def history_coefficients(
     """[(a, old, new, forward)] per term: q <- q + a (old S_old + new S_new - q), exact where S runs
     linearly.
 
-    q_k is the relaxed stress of term k: q' = (S_e - q) / tau, S = S_e - sum g_k q_k. `expm1` keeps
-    a = 1 - exp(-x) exact for steps far below the relaxation time. `forward` carries q to the middle
-    of the `ahead` seconds to come.
+    q_k is the relaxed stress of term k: q' = (S_e - q) / tau, S = S_e - sum g_k q_k. `forward`
+    carries q to the middle of the `ahead` seconds to come.
     """
-    result = []
-    for _, tau in prony:
-        x = elapsed / tau
-        a = -np.expm1(-x)
-        # the series where the quotient would cancel
-        new = (1 - a / x) / a if x > 1e-4 else 0.5 + x / 12
-        result.append((a, 1 - new, new, -np.expm1(-ahead / (2 * tau))))
-    return result
+    return [
+        (*exponential_weights(elapsed, tau), float(-np.expm1(-ahead / (2 * tau))))
+        for _, tau in prony
+    ]
 
 
 class StressHistory:

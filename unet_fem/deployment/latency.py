@@ -102,7 +102,7 @@ def fem_action(dataset: Dataset, kind: str) -> Callable:
     true mass, from the state before."""
     mesh = dataset.fem_mesh
     load = np.zeros((3, mesh.n_nodes))
-    top = np.unique(mesh.free_faces)
+    top = np.unique(mesh.contact_faces)
     load[2, top] = -1e-3 / len(top)
     solver = Solver(mesh, dataset.material, kind, "float32", damping=50.0)
 

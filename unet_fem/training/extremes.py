@@ -33,7 +33,7 @@ def extreme_loads(mesh: HexMesh, contact: ContactRange) -> dict[str, NodalLoad]:
     def push(factor, at):
         return Load(surface, [Push(at, factor * contact.force[1], radius, ramp=RAMP)])
 
-    top = np.unique(mesh.free_faces)
+    top = np.unique(mesh.contact_faces)
     top = top[~mesh.fixed[top]]
     place: tuple[np.ndarray, ...] = (top,)  # by node number, or by place in the grid
     if mesh.grid_shape is not None and mesh.grid_index is not None:

@@ -2,16 +2,21 @@
 reproducible draws."""
 
 import dataclasses
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fem.contact.draw import PATTERNS, ContactRange, draw_contacts, tilt
 from fem.contact.push import Contact, Load
-from fem.contact.surface import Surface
+from fem.contact.surface import Surface, surface_of
+from fem.data.draws import drawn_contacts
+from fem.data.scene import load_scene
 from fem.errors import InputError
-from fem.mesh.shapes import box, tumour
+from fem.mesh.shapes import TUMOUR_EDGE, box, tumour
 
+CONFIGS = Path(__file__).parents[3] / "configs"
 EDGE = 1e-3  # m
 RANGES = ContactRange(
     count=2, radius=(1.2e-3, 2.6e-3), force=(0.3e-3, 1.8e-3), travel=(0.0, 3e-3), cone=30.0
@@ -87,6 +92,59 @@ def test_resultant_acts_at_the_centre_of_the_footprint():
         )
     assert errors[0] < 5e-3
     assert -np.polyfit(np.log(cells), np.log(errors), 1)[0] > 3
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Of 200 interactions of the shipped scene, its 400 contacts, drawn as the dataset's are."""
+    scene = load_scene(CONFIGS / "tumour.toml")
+    wide = replace(scene, interactions=replace(scene.interactions, train=200))
+    where = surface_of(wide.mesh.build())
+    return [c for n in range(200) for c in drawn_contacts(wide, where, "train", n + 1, 0)]
+
+
+def above_the_bump(surface, centre):
+    """Whether the surface under a centre is the bump's top."""
+    under = np.square(surface.points[:, :2] - centre[:2]).sum(axis=1).argmin()
+    return surface.points[under, 2] == surface.points[:, 2].max()
+
+
+def test_contacts_start_on_the_bump_beside_it_and_cross_its_edge(surface, drawn):
+    """Of 400 contacts on the tumour at least 1 % start beside the bump, half on it, and 5 % of the
+    paths cross its edge, both ways."""
+    start, end = (
+        np.array([above_the_bump(surface, at) for at in ends])
+        for ends in zip(*((c.start, c.end) for c in drawn), strict=True)
+    )
+    assert start.mean() > 0.5 and (~start).mean() > 0.01
+    assert (start != end).mean() > 0.05 and (start & ~end).any() and (~start & end).any()
+
+
+def test_a_footprint_over_a_step_keeps_its_force_and_its_line_of_action(surface, drawn):
+    """On and across the bump's edge the nodal forces add up to the contact's force to 1e-12, none
+    of them on a held node; seen from above the resultant is within 0.3 % of the radius of the centre.
+    It lies as high as the surface that carries it, so that for a tilted force the line of action is
+    off by up to 7 % of the radius."""
+    mesh = tumour()
+    for c in drawn:
+        for t in np.linspace(c.onset, DURATION, 5):
+            share = surface.footprint(c.centre(t), c.radius)
+            off = share @ mesh.points - c.centre(t)
+            assert abs(share.sum() - 1) < 1e-12 and not share[mesh.fixed].any()
+            assert np.linalg.norm(off[:2]) < 0.003 * c.radius
+            assert np.linalg.norm(np.cross(off, c.direction)) < 0.07 * c.radius
+
+
+def test_a_footprint_that_reaches_over_the_rim_is_cut(surface):
+    """What of it would fall on held nodes, or beyond, falls away; the rest takes the whole force,
+    so that the resultant moves inwards."""
+    mesh, radius = tumour(), 2.4e-3
+    x, y = 0.75e-3, 8 * TUMOUR_EDGE
+    share = surface.footprint(np.array([x, y, 5 * TUMOUR_EDGE]), radius)
+    resultant = share @ mesh.points
+    assert abs(share.sum() - 1) < 1e-12 and not share[mesh.fixed].any()
+    assert x + 0.1 * radius < resultant[0] < x + 0.3 * radius
+    assert resultant[1] == pytest.approx(y, abs=1e-3 * radius)
 
 
 def test_pressure_falls_off_as_it_should():
@@ -201,7 +259,7 @@ def test_draws_stay_in_their_ranges(surface):
 def test_drawn_footprints_keep_off_the_rim(surface):
     """A drawn path starts and ends where the whole footprint is on the free surface, if the surface
     is wide enough."""
-    rim = np.unique(surface_rim(tumour()), axis=0)
+    rim = tumour().points[tumour().contact_rim]
     for contacts in many_draws(surface):
         for c in contacts:
             for centre in (c.start, c.end):
@@ -209,11 +267,6 @@ def test_drawn_footprints_keep_off_the_rim(surface):
                     np.linalg.norm(rim - centre, axis=1).min()
                     >= min(c.radius, 0.9 * surface.clearance.max()) - 1e-12
                 )
-
-
-def surface_rim(mesh):
-    faces = mesh.free_faces
-    return mesh.points[faces[mesh.fixed[faces]]]
 
 
 def test_same_seed_same_contacts(surface):

@@ -69,7 +69,6 @@ def test_settings_without_a_say_are_refused():
     with pytest.raises(InputError, match="hourglass_stiffness = 0.1 has no meaning for .*'full'"):
         SolverChoice(hourglass_stiffness=0.1)
     assert SolverChoice("reduced").hourglass_stiffness == 0.2
-    assert MeshChoice("tumour", cells=(16, 16, 7)) == MeshChoice()
 
 
 def test_a_box_is_held_and_loaded_as_chosen():

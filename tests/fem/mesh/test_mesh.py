@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fem.errors import InputError
-from fem.mesh import element, hexmesh
+from fem.mesh import element, hexmesh, shapes
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box, from_voxels, refined, tumour
 from fem.online.grid import NodeGrid
@@ -38,18 +38,48 @@ def test_tumour_has_the_counts_and_volume_of_the_paper():
     assert mesh.congruent
 
 
-def test_tumour_is_held_at_bottom_and_periphery_and_free_on_top():
-    """Every boundary face off the top plane is held, every node of the top away from the rim is
-    free."""
-    mesh = tumour()
-    faces = mesh.boundary_faces
-    top = (mesh.points[faces, 2] == mesh.points[:, 2].max()).all(axis=1)
-    assert mesh.fixed[faces[~top]].all()
-    rim = np.intersect1d(faces[top], faces[~top])
-    assert not mesh.fixed[np.setdiff1d(faces[top], rim)].any()
-    assert not mesh.fixed[np.setdiff1d(np.arange(mesh.n_nodes), faces)].any()
-    assert len(mesh.free_faces) <= top.sum()
-    assert (mesh.points[mesh.free_faces, 2] == mesh.points[:, 2].max()).all()
+def test_tumour_is_a_bump_on_five_full_layers_held_at_bottom_and_walls():
+    """609 nodes are held: the bottom and the walls up to the top of the fifth layer; the bump's 34
+    cells stand alone on it."""
+    mesh = tumour(edge=1.0)
+    i, j, k = np.rint(mesh.points).astype(int).T
+    walls = (k <= 5) & ((i == 0) | (i == 16) | (j == 0) | (j == 16))
+    assert mesh.fixed.sum() == 609 and np.array_equal(mesh.fixed, walls | (k == 0))
+    assert np.array_equal(mesh.node_sets["walls"], walls)
+    assert np.array_equal(mesh.node_sets["bottom"], k == 0)
+    assert np.array_equal(mesh.node_sets["top"], k == 6)
+    layers = np.bincount(np.rint(mesh.points[mesh.cells[:, 0], 2]).astype(int))
+    assert layers.tolist() == [256] * 5 + [34]
+
+
+def test_tumour_has_its_two_groups_of_cells():
+    """1166 cells of tissue come first, then 148 of the tumour: 30, 42, 42 and 34 by layer, x
+    fastest in both; in the bump only the tumour exists."""
+    mesh = tumour(edge=1.0)
+    lump, corner = mesh.cell_sets["tumour"], np.rint(mesh.points[mesh.cells[:, 0]]).astype(int)
+    assert np.array_equal(mesh.cell_sets["tissue"], ~lump)
+    assert np.array_equal(lump, np.arange(1314) >= 1166)
+    assert np.bincount(corner[lump, 2]).tolist() == [0, 0, 30, 42, 42, 34]
+    assert lump[corner[:, 2] == 5].all()
+    for group in (~lump, lump):
+        assert (np.diff(corner[group] @ [1, 16, 256]) > 0).all()
+
+
+def test_tumour_is_symmetric_in_x_and_not_in_y():
+    """Mirrored in x, cells, groups and held nodes are the same, exactly; mirrored in y they are
+    not."""
+    mesh = tumour(edge=1.0)
+
+    def content(flip):
+        points = np.rint(mesh.points).astype(int)
+        points = np.where(flip, 16 - points, points)
+        cells = {tuple(sorted(map(tuple, points[cell]))) for cell in mesh.cells}
+        lump = {tuple(sorted(map(tuple, points[c]))) for c in mesh.cells[mesh.cell_sets["tumour"]]}
+        return cells, lump, set(map(tuple, points[mesh.fixed]))
+
+    here, in_x, in_y = (content(flip) for flip in ([0, 0, 0], [1, 0, 0], [0, 1, 0]))
+    assert here == in_x and here[2] == in_y[2]
+    assert here[0] != in_y[0] and here[1] != in_y[1]
 
 
 @pytest.mark.parametrize("cells", [(1, 1, 1), (4, 3, 2)])
@@ -81,13 +111,16 @@ def test_grid_round_trip(make):
     assert np.count_nonzero(grid) == values.size
 
 
-def test_grid_places_nodes_by_position():
-    """Grid entry [i, j, k] belongs to the node at (i, j, k) edges, z up: pooling anchored on top
-    stays on top."""
-    mesh = tumour(edge=1.0)
-    i, j, k = np.round(np.moveaxis(mesh.grid.to_grid(mesh.points), -1, 0)).astype(int)
-    mask = mesh.grid.mask
-    assert np.array_equal(np.argwhere(mask), np.stack([i[mask], j[mask], k[mask]], axis=1))
+@pytest.mark.parametrize("void, first", [("below", 1), ("above", 0)])
+def test_grid_places_nodes_by_position(void, first, monkeypatch):
+    """Grid entry [i, j, k] belongs to the node at (i, j, k) edges, z up; the tumour's seven layers
+    leave the grid's first one void, or its last."""
+    monkeypatch.setattr(shapes, "VOID", void)
+    for mesh, low in ((tumour(edge=1.0), first), (box((4, 3, 2), 1.0), 0)):
+        i, j, k = np.round(np.moveaxis(mesh.grid.to_grid(mesh.points), -1, 0)).astype(int)
+        mask = mesh.grid.mask
+        places = np.stack([i[mask], j[mask], k[mask] + low], axis=1)
+        assert np.array_equal(np.argwhere(mask), places)
 
 
 def test_a_grid_of_another_shape_is_refused():
@@ -268,11 +301,15 @@ def test_refined_cubes_are_the_cubes_of_half_the_edge():
     keep = np.zeros(np.array(mesh.grid.shape) - 1, bool)
     keep[places] = True
     edge = np.ptp(mesh.points[mesh.cells[0], 0])
-    voxels = from_voxels(keep.repeat(2, 0).repeat(2, 1).repeat(2, 2), edge / 2, "all but top")
+    voxels = from_voxels(keep.repeat(2, 0).repeat(2, 1).repeat(2, 2), edge / 2, "none")
     order = np.argsort(fine.grid.index)
     assert np.array_equal(fine.grid.index[order], voxels.grid.index) and fine.congruent
-    assert np.allclose(fine.points[order], voxels.points, rtol=0, atol=1e-15)
-    assert np.array_equal(fine.fixed[order], voxels.fixed)
+    shift = [0, 0, edge * (shapes.VOID == "below")]
+    assert np.allclose(fine.points[order] + shift, voxels.points, rtol=0, atol=1e-15)
+    i, j, k = np.rint(fine.points / edge * 2).astype(int).T
+    walls = (k <= 10) & ((i == 0) | (i == 32) | (j == 0) | (j == 32))
+    assert np.array_equal(fine.fixed, walls | (k == 0))
+    assert fine.cell_sets["tumour"].sum() == 8 * 148
     assert fine.n_cells == 8 * mesh.n_cells and len(fine.free_faces) == 4 * len(mesh.free_faces)
     old = fine.grid.to_grid(fine.points)[::2, ::2, ::2]
     assert np.allclose(old, mesh.grid.to_grid(mesh.points), rtol=0, atol=1e-15)

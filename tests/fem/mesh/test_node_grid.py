@@ -2,6 +2,7 @@
 and curved loaded surfaces."""
 
 import dataclasses
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from fem.contact.draw import ContactRange, draw_contacts
 from fem.contact.surface import Surface
+from fem.data.scene import load_scene
 from fem.errors import InputError
 from fem.mesh.embedding import Embedding
 from fem.mesh.node_grid import node_grid
@@ -16,6 +18,7 @@ from fem.mesh.read import read_mesh
 from fem.mesh.shapes import box, tumour
 from fem.online.grid import NodeGrid
 
+CONFIGS = Path(__file__).parents[3] / "configs"
 TURNS = (
     [0, 1, 2, 3, 4, 5, 6, 7],
     [1, 2, 3, 0, 5, 6, 7, 4],
@@ -54,7 +57,9 @@ def test_the_grid_of_a_shuffled_curved_mesh_is_found(make, seed):
     mixed = dataclasses.replace(
         mesh, points=points, cells=cells, fixed=mesh.fixed[old], grid=None, node_sets={}
     )
-    assert node_grid(mixed) == NodeGrid(mesh.grid.shape, mesh.grid.index[old])
+    i, j, k = np.unravel_index(mesh.grid.index[old], mesh.grid.shape)
+    shape = (*mesh.grid.shape[:2], int(np.ptp(k)) + 1)  # without the tumour's void layer
+    assert node_grid(mixed) == NodeGrid(shape, np.ravel_multi_index((i, j, k - k.min()), shape))
 
 
 @pytest.mark.parametrize(
@@ -82,12 +87,34 @@ def test_the_loaded_side_is_the_last_layer_of_the_grid(tmp_path, axis, shape):
     )
 
 
-def test_a_surface_on_several_sides_is_refused_with_the_remedy(tmp_path):
-    """A block held at its bottom alone can be pushed on five sides, and the networks need one."""
+def test_the_grid_points_the_way_most_of_a_surface_on_several_sides_faces(tmp_path):
+    """A block held at its bottom alone can be pushed on from above: its walls face each other. One
+    that can be pushed on from all sides alike has no last layer, and says so."""
     mesh, path = box((3, 3, 3), 1.0, "none"), tmp_path / "block.vtu"
     meshio.Mesh(mesh.points, [("hexahedron", mesh.cells)]).write(path)
-    with pytest.raises(InputError, match="on 5 sides .* mesh.loaded, such as 'z max'"):
-        node_grid(read_mesh(path, 1.0, "z min"))
+    block = read_mesh(path, 1.0, "z min")
+    assert node_grid(block) == mesh.grid
+    assert (block.points[block.contact_faces, 2] == 3.0).all() and len(block.contact_faces) == 9
+    with pytest.raises(InputError, match="faces all sides alike.* mesh.loaded, such as 'z max'"):
+        node_grid(dataclasses.replace(block, fixed=np.zeros(block.n_nodes, bool)))
+
+
+def test_the_walls_of_steps_take_no_contact_and_their_edges_are_no_rim(distort):
+    """Contacts push on the tumour's upward faces on both levels, also where it is distorted, and
+    also without a grid; its rim is at the walls alone."""
+    for mesh in (tumour(1.0), dataclasses.replace(distort(tumour(1.0)), grid=None)):
+        x, y, z = tumour(1.0).points.T
+        faces = mesh.contact_faces
+        assert len(faces) == 16 * 16 and (np.ptp(z[faces], axis=1) == 0).all()
+        assert np.unique(z[faces]).tolist() == [5, 6] and (z[faces] == 6).all(axis=1).sum() == 34
+        assert np.array_equal(mesh.contact_rim, np.flatnonzero(mesh.fixed & (z == 5)))
+
+
+def test_a_curved_surface_is_pushed_on_whole():
+    """The lobe's normals turn by 50 degrees from z: contacts push on every face of its top."""
+    lobe = load_scene(CONFIGS / "lobe.toml").mesh.build()
+    assert np.array_equal(lobe.contact_faces, lobe.free_faces)
+    assert np.abs(Surface(lobe).normal[:, 2]).min() < np.cos(np.radians(45))
 
 
 def ring(n=12):

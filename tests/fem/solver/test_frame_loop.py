@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fem.contact.push import Load, Push
+from fem.contact.surface import Surface
 from fem.errors import InputError
 from fem.material.neo_hooke import NeoHooke
-from fem.mesh.shapes import box
-from fem.online.grid import MM
+from fem.mesh.shapes import box, tumour
+from fem.online.grid import MM, MN
 from fem.online.stepper import Stepper
 from fem.solver.explicit import Solver
 from fem.solver.frame_loop import FrameLoop, LoopSettings, coarse_mesh
@@ -62,6 +64,46 @@ def test_a_mesh_without_a_grid_takes_nodal_forces_and_no_coarse_mesh():
     for refused in (FrameLoop, lambda mesh, *_: coarse_mesh(mesh)):
         with pytest.raises(InputError, match="does not lie on one; set coarse = False"):
             refused(loose, TISSUE, replace(SETTINGS, coarse=True))
+
+
+@pytest.mark.parametrize("fixed", ["all but top", "bottom", "x min"])
+@pytest.mark.parametrize("cells", [(4, 4, 2), (3, 3, 3), (5, 2, 1)])
+def test_a_coarse_box_is_held_as_the_fine_one(cells, fixed):
+    coarse, _ = coarse_mesh(box(cells, 1e-3, fixed))
+    halves = tuple(n - 1 for n in coarse.grid.shape)
+    assert halves == tuple(max(1, round(n / 2)) for n in cells)
+    assert np.array_equal(coarse.fixed, box(halves, 1e-3, fixed).fixed)
+
+
+def test_a_coarse_tumour_keeps_its_levels_symmetry_supports_and_groups():
+    """Levels at 0, 2.5, 5 and 6 edges; a bump of ten cells, symmetric in x; held at bottom and
+    walls; rigid motion and total forces are exact, and every free node moves along."""
+    fine = tumour(1.0)
+    coarse, A = coarse_mesh(fine)
+    x, y, z = coarse.points.T
+    assert np.unique(z).tolist() == [0.0, 2.5, 5.0, 6.0] and coarse.n_cells == 2 * 64 + 10
+    walls = (z <= 5) & ((x == 0) | (x == 16) | (y == 0) | (y == 16))
+    assert np.array_equal(coarse.fixed, walls | (z == 0))
+    centres = coarse.points[coarse.cells].mean(axis=1)
+    mirrored = centres * [-1, 1, 1] + [16, 0, 0]
+    for cells in (np.ones(coarse.n_cells, bool), coarse.cell_sets["tumour"]):
+        assert set(map(tuple, centres[cells])) == set(map(tuple, mirrored[cells]))
+    assert (coarse.cell_sets["tumour"] ^ coarse.cell_sets["tissue"]).all()
+    assert coarse.cell_sets["tumour"][centres[:, 2] > 5].all()
+    np.testing.assert_allclose(A.sum(axis=1), 1, rtol=1e-12)
+    loose = A @ (~coarse.fixed).astype(float)
+    assert (loose[~fine.fixed] > 0.05).all()
+
+
+def test_a_coarse_tumour_answers_a_push_about_as_the_fine_one():
+    push = Load(Surface(tumour()), [Push("top", 0.5e-3, 2.4e-3, ramp=0.3)])
+    u = []
+    for coarse in (False, True):
+        loop = FrameLoop(tumour(), TISSUE, LoopSettings("full", coarse, 0.02, 60))
+        for t in np.arange(1, 31) * 0.02:
+            answer = loop.step(push(t).T * MN)
+        u.append(answer)
+    assert np.linalg.norm(u[1] - u[0]) < 0.25 * np.linalg.norm(u[0])
 
 
 @pytest.mark.parametrize("element, coarse", [("full", False), ("reduced", True)])
