@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from fem.errors import InputError
-from unet_fem.training.run import read_settings
+from unet_fem.training.run import open_run, read_settings
 
 
 def train_networks(study):
@@ -18,6 +18,7 @@ def train_networks(study):
                 f"{settings.folder} was made with other settings than the study's network '{network.name}'; delete it or rename the network"
             )
         if (settings.folder / "metrics.json").is_file():
+            open_run(settings.folder)  # refuses one that was trained on another mesh
             continue
         print(f"\nnetwork {number} of {len(study.networks)}: {network.name}", flush=True)
         resume = ["--resume"] if written.is_file() else []

@@ -138,7 +138,7 @@ def run(study):
 
 def study_dataset(study):
     """The dataset of the study: that of its CNN-LSTM."""
-    return open_dataset(study.network(study.cnn_lstm).data)
+    return open_dataset(study.network(study.cnn_lstm).data).for_learning()
 
 
 def _refinement(study, dataset, few, own):

@@ -34,7 +34,7 @@ def run(study):
     from unet_fem.training.run import ensure_dataset
 
     settings = study.network(study.cnn_lstm)
-    short = open_dataset(settings.data)
+    short = open_dataset(settings.data).for_learning()
     long = ensure_dataset(replace(settings, scene=study.long_scene, data=study.long_data))
     if long.grid != short.grid or long.scene.frames.interval != short.scene.frames.interval:
         raise InputError(
