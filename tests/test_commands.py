@@ -33,6 +33,7 @@ COMMANDS = {
     ],
     "tools/benchmark.py": [(["runs/none"], "runs/none")],
     "tools/benchmark_fem.py": [],
+    "tools/draw_contacts.py": [(["none.toml", "a.png"], "none.toml")],
     "tools/export.py": [(["none.h5", "out"], "none.h5")],
     "tools/make_lobe.py": [],
     "tools/prune.py": [(["runs/none"], "runs/none"), (["runs/none", "--sparsity", "2"], "2")],

@@ -33,7 +33,7 @@ def train(settings: Settings, resume: bool = False) -> dict:
     samples = training_samples(dataset, settings.model.window)
     scales(samples[0])  # refuses forces that are all zero
     with lock(settings.folder):
-        prepare_folder(settings, resume)
+        prepare_folder(settings, dataset, resume)
         from unet_fem.training.fit import train_run  # brings Keras, no refusal has to wait for it
 
         return train_run(settings, dataset, samples)

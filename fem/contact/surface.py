@@ -13,9 +13,12 @@ from fem.mesh.hexmesh import HexMesh
 
 class Surface:
     """The surface of a mesh that contacts push on (HexMesh.contact_faces), with quadrature points
-    that turn a footprint into consistent nodal forces; none of these falls on a held node."""
+    that turn a footprint into consistent nodal forces.
 
-    def __init__(self, mesh: HexMesh) -> None:
+    on_held: whether these fall on held nodes too, as they did before version 0.2.
+    """
+
+    def __init__(self, mesh: HexMesh, on_held: bool = False) -> None:
         faces = mesh.contact_faces
         if not len(faces):
             raise InputError(
@@ -35,7 +38,7 @@ class Surface:
         row = np.broadcast_to(faces[:, None], (len(faces), 4, 4))
         weight = np.broadcast_to(shape, row.shape)
         entries = (weight.ravel(), (row.ravel(), np.broadcast_to(column, row.shape).ravel()))
-        free = scipy.sparse.diags((~mesh.fixed).astype(float))
+        free = scipy.sparse.diags((~mesh.fixed | on_held).astype(float))
         self.spread = free @ scipy.sparse.csr_matrix(entries, (mesh.n_nodes, len(self.area)))
         rim = scipy.spatial.cKDTree(mesh.points[mesh.contact_rim])
         self.clearance = rim.query(self.points)[0]  # (P,) m, inf without a rim
@@ -46,8 +49,8 @@ class Surface:
 
         r is measured along the surface's tangent plane under the centre, so that a straight path
         may cut through a curved surface, and never reaches the other side of a thin wall. Over a
-        step it pushes on both levels; seen along the normal the resultant then stays within 0.3 % of
-        the radius of the centre, and its height is that of the faces that carry it, so that the
+        step it pushes on both levels; seen along the normal the resultant then stays within 0.3 %
+        of the radius of the centre, and its height is that of the faces that carry it, so that the
         line of action of a force tilted by 30 degrees is off by up to 7 % of the radius (measured
         on the tumour). What would fall on held nodes, or beyond the rim, falls away, and the rest
         takes the whole force: so a centre nearer to the rim than the radius has its resultant moved

@@ -160,6 +160,27 @@ class Dataset:
         return self.scene.material_on(self.fem_mesh)
 
     @cached_property
+    def mesh_digest(self) -> str:
+        """HexMesh.digest of fem_mesh."""
+        return self.fem_mesh.digest
+
+    def for_learning(self) -> "Dataset":
+        """This dataset, to learn from and to judge by. Raises InputError for a file of the first
+        format, and for one made on another mesh than its scene has now: these are for reading."""
+        if self.format != FORMAT:
+            raise InputError(
+                f"{self.path} is a '{self.format}' file, which is for reading only: it does not"
+                " hold its mesh; generate it again"
+            )
+        choice = self.scene.mesh
+        if choice.kind in ("tumour", "box") and choice.content != self.mesh_digest:
+            raise InputError(
+                f"{self.path} is for reading only: it was made on another mesh than mesh.kind ="
+                f" '{choice.kind}' is now; generate it again"
+            )
+        return self
+
+    @cached_property
     def embedding(self) -> Embedding | None:
         """The Embedding of fem_mesh in the grid, or None if its nodes lie on the grid."""
         return self.scene.mesh.embed(self.fem_mesh)
@@ -252,6 +273,8 @@ def open_dataset(path: str | Path) -> Dataset:
         }
         split = file["split"][()].astype(str)
         tree = tomllib.loads(file.attrs["scene"])
+        if tree.get("mesh", {}).get("kind") == "tumour":
+            tree["mesh"].pop("cells", None)  # migration: of the tumour's former block
         lost = float(file.attrs.get("embedding_error", 0.0))
     return Dataset(
         path=path,

@@ -1,5 +1,7 @@
 """The contacts of an interaction: drawn by its scene's seed, and drawn again from its forces."""
 
+import itertools
+
 import numpy as np
 
 from fem.contact.draw import draw_contacts
@@ -27,12 +29,13 @@ def redrawn_contacts(
     scene: Scene, mesh: HexMesh, force: np.ndarray, split: str, number: int
 ) -> list[Contact]:
     """The contacts of an interaction whose file does not hold them: of the attempt whose load gives
-    its frames of `force` (frames, N, 3) mN on `mesh`.
+    its frames of `force` (frames, N, 3) mN on `mesh`. Such files hold forces on held nodes too.
 
     Raises InputError if no attempt gives them: the forces are another scene's.
     """
-    surface, rounding = surface_of(mesh), 1e-5 * max(np.abs(force).max(), 1e-300)
-    for attempt in range(MAX_ATTEMPTS):
+    rounding = 1e-5 * max(np.abs(force).max(), 1e-300)
+    surfaces = Surface(mesh, on_held=True), surface_of(mesh)
+    for attempt, surface in itertools.product(range(MAX_ATTEMPTS), surfaces):
         contacts = drawn_contacts(scene, surface, split, number, attempt)
         load = Load(surface, contacts)
         if all(

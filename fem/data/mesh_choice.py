@@ -115,6 +115,12 @@ class MeshChoice:
             return mesh
         return _build(self.located(self.folder))  # type: ignore[attr-defined]
 
+    @property
+    def content(self) -> str | None:
+        """What tells this mesh from any other: the digest of a tumour or box as it is built, else
+        `sha256`."""
+        return self.build().digest if self.kind in ("tumour", "box") else self.sha256
+
     def embed(self, hex_mesh: HexMesh) -> Embedding | None:
         """The Embedding of a mesh that `build` gave, or None if it lies on a node grid itself."""
         return Embedding(hex_mesh, self.grid) if hex_mesh.grid is None else None

@@ -178,8 +178,9 @@ class Scene:
         return config.dump_toml(self._tree())
 
     def digest(self) -> str:
-        """Eight hexadecimal digits that change with every setting."""
-        return digest(self._tree())[:8]
+        """Eight hexadecimal digits that change with every setting and with the mesh that they
+        give."""
+        return digest([self._tree(), self.mesh.content])[:8]
 
     def _tree(self):
         tree = config.to_dict(self)

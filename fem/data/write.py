@@ -35,6 +35,7 @@ def write_dataset(
     embedding = scene.mesh.embed(mesh)
     with replacing(path) as partial, h5py.File(partial, "w") as file:
         _describe(file, scene)
+        file.attrs["mesh_digest"] = mesh.digest
         _write_grid(file, embedding.grid_mesh if embedding else mesh)
         _write_mesh(file, mesh)
         columns = _columns(file, scene, mesh, file["mask"].shape)

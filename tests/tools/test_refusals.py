@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from fem.data.dataset import open_dataset
+from unet_fem.training.run import MESH
+
 ROOT = Path(__file__).parents[2]
 BLOCKED = """
 import os, runpy, sys
@@ -47,6 +50,7 @@ def test_help_and_refusals_do_not_wait_for_tensorflow(tool, tiny_dataset, tmp_pa
     (run / "config.toml").write_text(
         f'name = "tiny"\nscene = "x"\ndata = "{tiny_dataset}"\n[train]\nepochs = 1\n'
     )
+    (run / MESH).write_text(open_dataset(tiny_dataset).mesh_digest)
     code, _, err = without_tensorflow(tool, "runs/tiny", cwd=tmp_path)
     assert code == 2 and "no model runs/tiny/best.keras" in err
 
@@ -71,6 +75,7 @@ def test_benchmark_asks_for_the_files_that_it_times(tiny_dataset, tmp_path):
     (run / "config.toml").write_text(
         f'name = "tiny"\nscene = "x"\ndata = "{tiny_dataset}"\n[train]\nepochs = 1\n'
     )
+    (run / MESH).write_text(open_dataset(tiny_dataset).mesh_digest)
     (run / "best.keras").touch()
     code, _, err = without_tensorflow("benchmark.py", "runs/tiny", cwd=tmp_path)
     assert code == 2 and "holds no .tflite files; make them with python tools/quantize.py" in err

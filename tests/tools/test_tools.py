@@ -13,11 +13,13 @@ import keras
 import numpy as np
 import pytest
 
+from fem.data.dataset import open_dataset
 from unet_fem.deployment import tflite as lite
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.training import settings as config
 from unet_fem.training.checkpoint import load_model
+from unet_fem.training.run import MESH
 
 TOOLS = Path(__file__).parents[2] / "tools"
 SETTINGS = """
@@ -43,6 +45,7 @@ def folder(tiny_dataset, tmp_path_factory):
     keras.utils.set_random_seed(0)
     cnn_lstm((5, 5, 3), 64, 2, force_scale=0.05, displacement_scale=0.05).save(run / "best.keras")
     (run / "config.toml").write_text(SETTINGS)
+    (run / MESH).write_text(open_dataset(tiny_dataset).mesh_digest)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         yield folder

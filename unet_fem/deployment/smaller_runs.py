@@ -45,7 +45,7 @@ def smaller_run(
     parent = model_file(settings)
     model = load_model(parent)
     small = _smaller_settings(settings, model, share, by_filters, epochs, learning_rate)
-    prepare_folder(small, resume=(small.folder / "config.toml").is_file())
+    prepare_folder(small, dataset, resume=(small.folder / "config.toml").is_file())
     done = small.folder / "pruned"
     if done.is_file():
         if done.stat().st_mtime < parent.stat().st_mtime:

@@ -18,7 +18,7 @@ from unet_fem.study.settings import Study
 
 def study_dataset(study: Study) -> Dataset:
     """The dataset of the study: that of its first main network."""
-    return open_dataset(study.data)
+    return open_dataset(study.data).for_learning()
 
 
 def hard_numbers(dataset: Dataset) -> list[int]:

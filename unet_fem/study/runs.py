@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fem.errors import InputError
 from unet_fem.study.settings import Study
-from unet_fem.training.run import read_settings
+from unet_fem.training.run import open_run, read_settings
 from unet_fem.training.settings import Settings
 
 KERAS = "tf.function"  # the form that a Keras model is timed in, and under which it is judged
@@ -105,6 +105,7 @@ def train_networks(study: Study) -> None:
                 f" '{network.name}'; delete it or rename the network"
             )
         if (settings.folder / "metrics.json").is_file():
+            open_run(settings.folder)  # refuses one that was trained on another mesh
             continue
         print(f"\nnetwork {number} of {len(study.networks)}: {network.name}", flush=True)
         resume = ["--resume"] if begun else []

@@ -36,5 +36,6 @@ def linear_regression(
     path = settings.folder / "linear.npz"
     if not path.is_file():
         options = Linear(steps=settings.model.window or 1)
-        fit_regression(dataset or open_dataset(settings.data), options, samples).save(path)
+        dataset = dataset or open_dataset(settings.data).for_learning()
+        fit_regression(dataset, options, samples).save(path)
     return Regression.load(path)

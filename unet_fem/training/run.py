@@ -35,6 +35,24 @@ def read_settings(folder: Path | str) -> Settings:
     return from_tree(tree)
 
 
+MESH = "mesh.sha256"  # file of a run's folder: the mesh that it was trained on, HexMesh.digest
+
+
+def check_mesh(folder: Path | str, dataset: Dataset) -> None:
+    """Raises InputError unless the run in `folder` was trained on the mesh of `dataset`."""
+    record = Path(folder, MESH)
+    if not record.is_file():
+        raise InputError(
+            f"{folder} does not say on which mesh it was trained ({MESH} is missing: it is from"
+            " before version 0.2); train it again under another name="
+        )
+    if record.read_text().strip() != dataset.mesh_digest:
+        raise InputError(
+            f"{folder} was trained on another mesh than {dataset.path} holds; train it again under"
+            " another name=, or give its dataset back"
+        )
+
+
 def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
     """(settings, dataset) of the run in `folder`. Raises InputError if it is no run or does not fit
     its dataset."""
@@ -44,7 +62,9 @@ def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
             f"{folder} was made as {settings.folder};"
             f" run from the folder that holds {settings.folder}"
         )
-    return settings, open_dataset(settings.data)
+    dataset = open_dataset(settings.data).for_learning()
+    check_mesh(folder, dataset)
+    return settings, dataset
 
 
 def model_file(settings: Settings) -> Path:
@@ -58,8 +78,12 @@ def vet(settings: Settings, resume: bool = False) -> None:
     folder, the scene, the dataset if there is one, and the network on its grid."""
     vet_folder(settings, resume)
     scene = load_scene(settings.scene)
+    grid: tuple[int, ...] | None
     if Path(settings.data).is_file():
-        grid: tuple[int, ...] | None = matching_dataset(settings, scene).grid
+        dataset = matching_dataset(settings, scene)
+        if (settings.folder / "config.toml").is_file():
+            check_mesh(settings.folder, dataset)
+        grid = dataset.grid
     else:
         grid = scene.mesh.grid or scene.mesh.build().grid_shape
     if grid:  # without one the dataset cannot be made, and making it tells why
@@ -98,22 +122,27 @@ def finished(settings: Settings) -> bool:
     return settings.train.epochs <= max(epochs, default=0)
 
 
-def prepare_folder(settings: Settings, resume: bool = False) -> None:
-    """Make the run's folder with its settings, see `vet_folder`."""
+def prepare_folder(settings: Settings, dataset: Dataset, resume: bool = False) -> None:
+    """Make the run's folder with its settings and the mesh of its dataset, see `vet_folder`; one
+    that is there must be of this mesh, see `check_mesh`."""
     vet_folder(settings, resume)
+    if (settings.folder / "config.toml").is_file():
+        check_mesh(settings.folder, dataset)
+    else:
+        write_text(settings.folder / MESH, dataset.mesh_digest + "\n")
     write_text(settings.folder / "config.toml", settings.toml())
 
 
 def matching_dataset(settings: Settings, scene: Scene) -> Dataset:
-    """The dataset of `settings`. Raises InputError if it is missing, damaged or another
-    scene's."""
+    """The dataset of `settings`. Raises InputError if it is missing, damaged, another scene's, or
+    for reading only."""
     dataset = open_dataset(settings.data)
     if dataset.scene != scene:
         raise InputError(
             f"{settings.data} was made from another scene than {settings.scene};"
             " delete it or give another data="
         )
-    return dataset
+    return dataset.for_learning()
 
 
 def ensure_dataset(settings: Settings) -> Dataset:

@@ -122,9 +122,9 @@ def test_contacts_start_on_the_bump_beside_it_and_cross_its_edge(surface, drawn)
 
 def test_a_footprint_over_a_step_keeps_its_force_and_its_line_of_action(surface, drawn):
     """On and across the bump's edge the nodal forces add up to the contact's force to 1e-12, none
-    of them on a held node; seen from above the resultant is within 0.3 % of the radius of the centre.
-    It lies as high as the surface that carries it, so that for a tilted force the line of action is
-    off by up to 7 % of the radius."""
+    of them on a held node; seen from above the resultant is within 0.3 % of the radius of the
+    centre. It lies as high as the surface that carries it, so that for a tilted force the line of
+    action is off by up to 7 % of the radius."""
     mesh = tumour()
     for c in drawn:
         for t in np.linspace(c.onset, DURATION, 5):

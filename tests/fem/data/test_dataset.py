@@ -14,10 +14,12 @@ import pytest
 from fem import settings as config
 from fem.contact.draw import draw_contacts
 from fem.contact.push import Load
-from fem.contact.surface import Surface
+from fem.contact.surface import Surface, surface_of
 from fem.data import dataset as dataset_module
+from fem.data import mesh_choice
 from fem.data.build import generate
 from fem.data.dataset import open_dataset
+from fem.data.draws import drawn_contacts, redrawn_contacts
 from fem.data.interaction import healthy_interaction, unfit
 from fem.data.scene import SPLITS, MeshChoice, Scene
 from fem.data.schema import FIRST_FORMAT, FORMAT
@@ -66,7 +68,40 @@ def test_dataset_gives_back_scene_and_mesh(tiny, tiny_dataset):
         dataset.mesh.fixed, mesh.fixed
     )
     assert np.allclose(dataset.mesh.points, mesh.points, rtol=1e-12)
-    assert dataset.fem_mesh == mesh
+    assert dataset.fem_mesh == mesh and dataset.for_learning() is dataset
+    with h5py.File(tiny_dataset) as file:
+        assert file.attrs["mesh_digest"] == dataset.mesh_digest == mesh.digest
+
+
+def test_the_digest_of_a_scene_tells_meshes_of_one_name_apart(tiny, monkeypatch):
+    """Another mesh behind mesh.kind = "tumour" makes another scene's digest."""
+    scene = config.build(Scene, tiny | {"mesh": {"kind": "tumour"}})
+    before = scene.digest()
+    other = tumour().with_sets(fixed="bottom")
+    monkeypatch.setattr(mesh_choice, "_build", lambda choice: other)
+    assert scene.digest() != before
+
+
+def test_a_dataset_of_the_former_tumour_opens_for_reading(tiny, tmp_path):
+    """Its scene names the block that it was cut from; it reads, and is not to be learned from."""
+    scene = config.build(Scene, tiny | {"mesh": {"kind": "tumour"}})
+    mesh = tumour().with_sets(fixed="bottom")
+    fields = {
+        "displacement": np.zeros((3, mesh.n_nodes, 3), np.float32),
+        "force": np.ones((3, mesh.n_nodes, 3), np.float32),
+    }
+    box_scene = config.build(Scene, tiny)
+    result = healthy_interaction(box_scene, box_scene.mesh.build(), "train", 1)
+    path = tmp_path / "a.h5"
+    write_dataset(path, scene, mesh, [result | fields] * 4)
+    with h5py.File(path, "r+") as file:
+        text = file.attrs["scene"].replace("[mesh]", "[mesh]\ncells = [16, 16, 7]")
+        file.attrs["scene"] = text
+        del file.attrs["mesh_digest"]
+    dataset = open_dataset(path)
+    assert dataset.scene == scene and dataset.read("test")["force"].any()
+    with pytest.raises(InputError, match="reading only: .* another mesh than .* 'tumour' is now"):
+        dataset.for_learning()
 
 
 def test_mesh_with_holes_in_its_grid_comes_back(tiny, tmp_path):
@@ -351,6 +386,17 @@ def test_the_file_keeps_the_contacts(tiny, tiny_dataset, monkeypatch):
             assert np.array_equal((load(t).T * 1e3).astype(np.float32), frame)
     with pytest.raises(InputError, match="no test interaction 2; it has"):
         dataset.contacts("test", 2)
+
+
+def test_the_contacts_of_a_file_with_forces_on_held_nodes_are_drawn_again(tiny):
+    """Files of the first format hold them: what pushed is found all the same."""
+    scene = config.build(Scene, tiny)
+    mesh = scene.mesh.build()
+    drawn = drawn_contacts(scene, surface_of(mesh), "test", 1, 2)
+    load = Load(Surface(mesh, on_held=True), drawn)
+    force = np.array([load(t).T * 1e3 for t in scene.frames.times], np.float32)
+    assert force[:, mesh.fixed].any()
+    assert repr(redrawn_contacts(scene, mesh, force, "test", 1)) == repr(drawn)
 
 
 def as_first_format(path, mesh):

@@ -128,7 +128,9 @@ def test_magnitude_pruning_zeroes_the_share_that_was_asked_for(kind, size, preci
     assert len(convolutions) >= 3
     for layer in convolutions:
         kernel = layer.get_weights()[0]
-        assert (kernel == 0).mean() == pytest.approx(0.8, abs=max(0.03, 1 / kernel.size)), layer.name
+        assert (kernel == 0).mean() == pytest.approx(0.8, abs=max(0.03, 1 / kernel.size)), (
+            layer.name
+        )
         assert np.any(kernel.view("uint32") & 0xFFFF), (
             layer.name
         )  # not rounded to bfloat16 on the way

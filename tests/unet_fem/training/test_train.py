@@ -30,7 +30,14 @@ from unet_fem.training.fit import build_model, compile_model, fit
 from unet_fem.training.judge import error_metrics
 from unet_fem.training.losses import deformed_volume
 from unet_fem.training.precision import precision
-from unet_fem.training.run import ensure_dataset, finished, prepare_folder, read_settings
+from unet_fem.training.run import (
+    MESH,
+    ensure_dataset,
+    finished,
+    open_run,
+    prepare_folder,
+    read_settings,
+)
 
 SCENE = """
 [mesh]
@@ -217,7 +224,7 @@ def test_wrong_settings_are_one_line_with_the_remedy(folder, capsys):
 
 def test_an_existing_run_is_neither_overwritten_nor_resumed_with_other_settings(folder, capsys):
     settings = config.load_settings("lstm.toml")
-    prepare_folder(settings)
+    prepare_folder(settings, open_dataset("scene.h5"))
     for resume in ([], ["--resume"]):
         stops_with(train.main, ["lstm.toml", "train.epochs=9", *resume], capsys, "other settings")
     stops_with(evaluate.main, ["runs/lstm"], capsys, "no model runs/lstm/best.keras")
@@ -226,6 +233,37 @@ def test_an_existing_run_is_neither_overwritten_nor_resumed_with_other_settings(
     assert not finished(settings)  # judged on the way
     (folder / "runs/lstm/history.json").write_text('{"loss": [1.0, 1.0, 1.0, 1.0]}')
     stops_with(train.main, ["lstm.toml"], capsys, "runs/lstm", "finished", "unet_fem.evaluate")
+
+
+def test_a_run_of_another_mesh_is_refused_for_all_but_reading_its_settings(folder, capsys):
+    """A run whose dataset was made again on another mesh, or that does not say on which it was
+    trained, is neither resumed nor judged."""
+    settings = config.load_settings("lstm.toml")
+    prepare_folder(settings, open_dataset("scene.h5"))
+    record = folder / "runs/lstm" / MESH
+    assert record.read_text().strip() == open_dataset("scene.h5").mesh_digest
+    assert open_run("runs/lstm")[0] == settings
+    for text, word in (("0" * 64, "trained on another mesh"), (None, "before version 0.2")):
+        record.unlink() if text is None else record.write_text(text)
+        stops_with(train.main, ["lstm.toml", "--resume"], capsys, "runs/lstm", word)
+        stops_with(evaluate.main, ["runs/lstm"], capsys, "runs/lstm", word)
+        assert read_settings("runs/lstm") == settings
+
+
+@pytest.mark.parametrize("old", ["first format", "another mesh"])
+def test_a_dataset_for_reading_alone_is_not_learned_from(folder, capsys, old):
+    """A file of the first format, or of this format and another mesh, opens; training, resuming
+    and judging refuse it in one line."""
+    prepare_folder(config.load_settings("lstm.toml"), open_dataset("scene.h5"))
+    with h5py.File("scene.h5", "r+") as file:
+        if old == "first format":
+            file.attrs["format"] = "unet-fem dataset 1"
+        else:
+            file["mesh/points"][0, 0] -= 1e-6
+    assert open_dataset("scene.h5").read("test", ("volume",))["number"].size == 3
+    for arguments in (["unet.toml"], ["lstm.toml"], ["lstm.toml", "--resume"]):
+        stops_with(train.main, arguments, capsys, "scene.h5", "reading only", "generate it again")
+    stops_with(evaluate.main, ["runs/lstm"], capsys, "scene.h5", "reading only")
 
 
 @pytest.mark.parametrize("damage", ["truncated", "other scene", "nan", "not hdf5"])
