@@ -1,7 +1,5 @@
 """Replay of interactions in real time: of any stepper, at its own rate or one that it takes."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -31,9 +29,8 @@ FORCE = np.arange(3.0, dtype="float32")[:, None, None] * np.ones((1, 3), "float3
 @pytest.mark.parametrize("interval, rate", [(0.01, None), (None, 100.0), (0.01, 100.0)])
 def test_a_replay_calls_any_stepper_at_its_rate(interval, rate):
     spring = Spring(interval)
-    start = time.perf_counter()
     timing = replay(spring, FORCE, TIMES, rate)
-    assert time.perf_counter() - start > 0.2  # in real time
+    assert np.all(timing["late"] >= 0)  # no call begins before it is due
     assert spring.calls == len(timing["took"]) == 21
     np.testing.assert_allclose(timing["displacement"], FORCE, atol=1e-6)
     assert " 100 Hz: achieved" in report(timing, 100.0)

@@ -177,6 +177,7 @@ def test_volume_of_the_loss_is_the_volume_of_the_fem(folder):
     assert np.abs(samples.volume - 32).max() > 0.05  # it does change
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_by_the_same_command_and_ends_as_if_never_stopped(
     folder, monkeypatch, capsys, unjudged
 ):
@@ -346,6 +347,7 @@ def test_units_that_do_not_fit_are_refused_before_the_dataset_is_simulated(folde
     assert not (folder / "wide.h5").exists() and not (folder / "runs").exists()
 
 
+@pytest.mark.slow
 def test_regressions_are_runs_of_their_own(folder, capsys):
     linear = train(config.load_settings("lstm.toml", ["model.kind=linear", "name=linear"]))
     pod = train.main(["lstm.toml", "model.kind=pod", "model.modes=3", "model.steps=2", "name=pod"])
@@ -363,6 +365,7 @@ def test_regressions_are_runs_of_their_own(folder, capsys):
     assert metrics["linear regression"]["test"] == pod["linear regression"]["test"]
 
 
+@pytest.mark.slow
 def test_a_linear_regression_that_an_old_run_lacks_is_fitted_again(folder):
     before = train.main(["unet.toml", "train.epochs=1"])
     (folder / "runs/unet/linear.npz").unlink()
