@@ -10,6 +10,7 @@ import numpy as np
 from fem.errors import InputError, SolverStopped, Stop
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.solver.gate import Gate
 from fem.solver.internal_force import InternalForce
 from fem.solver.leapfrog import Leapfrog
 from fem.solver.load_ramp import LoadRamp, NodalLoad
@@ -30,6 +31,9 @@ class Solver:
     safety: share of the critical time step that is used
     control: makes the step control from the leapfrog and the safety
     allow_locking: take the full element for nearly incompressible tissue too, to see it lock
+
+    `gate` looks on where an `advance` picks its steps itself, and warns of an answer that is not to
+    be believed, see fem.solver.gate; a loop of fixed steps is judged by its error.
 
     `state` holds displacement and velocity, `pace` the critical step, `leapfrog` the mesh, the
     masses and the internal force; `snapshot` and `restore` keep a run and go on from it. The step
@@ -63,6 +67,7 @@ class Solver:
             allow_locking,
         )
         self.control = control(self.leapfrog, safety)
+        self.gate: Gate | None = Gate()
         self.state, self.pace = self.leapfrog.rest(), Pace()
         self.ramp = LoadRamp(np.zeros((3, mesh.n_nodes)), BLOCK)
         self.estimate_step()
@@ -139,6 +144,8 @@ class Solver:
         """
         remaining = _checked_steps(duration, steps)
         load_now = self._first(load)
+        if self.gate and remaining is None:
+            observers = [*observers, self.gate]
         control, pace = self.control, self.pace
         end = self.time + duration
         jump = (load_now - self.state.load) * self.leapfrog.inverse_mass

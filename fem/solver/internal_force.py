@@ -144,6 +144,14 @@ class InternalForce:
         strain, hourglass = np.sum([chunk.energies(u) for chunk in self._chunks], axis=0)
         return strain, hourglass
 
+    def hourglass_motion(self, u: np.ndarray) -> float:
+        """Energy in J that the hourglass modes of the displacement u (3, N) would have if the
+        hourglass stiffness were the shear modulus; zero for elements that have no such modes."""
+        if self.element != "reduced":
+            return 0.0
+        u = self._cast(u)
+        return sum(chunk.hourglass_motion(u) for chunk in self._chunks)
+
     def viscous_energy(self, u: np.ndarray) -> float:
         """Work in J of the viscous stresses up to the displacement u (3, N): minus what relaxation
         has spared so far."""

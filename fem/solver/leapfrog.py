@@ -7,10 +7,11 @@ import numpy as np
 
 from fem.errors import InputError, Stop
 from fem.material.base import Hyperelastic, poisson_ratio, shear_modulus
+from fem.mesh import element as hexahedron
 from fem.mesh.hexmesh import HexMesh
 from fem.solver.critical_step import lumped_mass
 from fem.solver.internal_force import InternalForce
-from fem.solver.record import Energies
+from fem.solver.record import Energies, Hourglass
 
 # above it the full element is more than 8 % too stiff under a footprint of 4 cells' radius, see
 # docs/stability.md
@@ -77,9 +78,11 @@ class Leapfrog:
                 mesh, material.elastic(), element, "float64", hourglass_stiffness
             )
         self.mass = lumped_mass(mesh, material.density * np.asarray(mass_scaling, float))
+        self.mass_scaled, self.held = bool(np.max(mass_scaling) > 1), mesh.fixed
         self.inverse_mass = np.where(mesh.fixed, 0.0, 1.0 / self.mass)
         self.negligible_energy = 1e-6 * np.mean(shear_modulus(material)) * mesh.volume()
         self.internal = np.zeros((3, mesh.n_nodes))
+        self._corners = hexahedron.corner_jacobians(mesh.points.T[:, mesh.cells.T])  # (8, E)
         # a step writes to the buffer that its state does not hold
         self._u, self._v = ([np.zeros((3, mesh.n_nodes)) for _ in range(2)] for _ in "uv")
 
@@ -160,6 +163,18 @@ class Leapfrog:
         return Energies(
             self.kinetic_energy(velocity), strain, hourglass, self.force.viscous_energy(u)
         )
+
+    def hourglass(self, u: np.ndarray) -> Hourglass:
+        """The Hourglass of displacement u (3, N) m."""
+        if self.force.element != "reduced":
+            return Hourglass(0.0, 0.0, 0.0)
+        strain, energy = self.elastic_force.energies(u)
+        return Hourglass(self.elastic_force.hourglass_motion(u), energy, strain)
+
+    def corner_J(self, u: np.ndarray) -> np.ndarray:
+        """(E,) smallest volume ratio at a corner of each cell, of displacement u (3, N) m."""
+        corners = (self.mesh.points.T + u)[:, self.mesh.cells.T]
+        return (hexahedron.corner_jacobians(corners) / self._corners).min(axis=0)
 
 
 def kinetic_energy(mass: np.ndarray, v: np.ndarray) -> float:
