@@ -64,9 +64,15 @@ def confirmed(
 def check_confirmed(scene: Scene, found: list[Confirmation]) -> None:
     """Raises InputError where one of the errors is above `health.mass_error`."""
     worst = max(found, key=lambda one: np.nan_to_num(one.error, nan=np.inf), default=None)
-    if worst and not worst.error <= scene.health.mass_error:
+    if not worst or worst.error <= scene.health.mass_error:
+        return
+    name, scaling = f"{worst.split} interaction {worst.number}", scene.solver.mass_scaling
+    if np.isinf(worst.error):
         raise InputError(
-            f"{worst.split} interaction {worst.number} is {worst.error:.2%} away from the same at"
-            f" the true mass (health.mass_error = {scene.health.mass_error:.2%} is allowed);"
-            f" lower solver.mass_scaling = {scene.solver.mass_scaling:g}"
+            f"{name} comes to an end at solver.mass_scaling = {scaling:g} alone and stops at the"
+            " true mass; lower it, lower contact.force or raise health.corner_J"
         )
+    raise InputError(
+        f"{name} is {worst.error:.2%} away from the same at the true mass (health.mass_error ="
+        f" {scene.health.mass_error:.2%} is allowed); lower solver.mass_scaling = {scaling:g}"
+    )
