@@ -57,7 +57,7 @@ final displacement.
   too stiff below 0.45 already.
 - **Force.** Sooner or later a cell is crushed (J < 0.05) or turned inside out at a corner; both
   stop the run, for by then the displacement means nothing. Corners are looked at with every
-  estimate of the step, at least once in 128 steps, and at every frame. The gate asks for *corner
+  estimate of the step, at least once in 256 steps, and at every frame. The gate asks for *corner
   J*, the volume ratio at the worst corner, of at least 0.1, which J at the points of integration
   does not show: 0.29 there was 0.02 at a corner. Of 36 hard draws on the published mesh (1.3 to
   1.6 times 1.2 mN, radii of 1.8 to 3.2 mm) 30 keep it. The 16 of them that were simulated again at

@@ -111,10 +111,10 @@ class Cells:
         strain = self.law.strain(u)
         return self.law.energy(strain), self.element.hourglass_energy()
 
-    def hourglass_motion(self, u: np.ndarray) -> float:
-        """Energy in J of the hourglass modes at a stiffness of the shear modulus."""
-        self.law.strain(u)
-        return self.element.hourglass_motion()
+    def hourglass(self, u: np.ndarray) -> tuple[float, float, float]:
+        """(motion, hourglass, strain) energy in J, see InternalForce.hourglass."""
+        strain, hourglass = self.energies(u)
+        return self.element.hourglass_motion(), hourglass, strain
 
     def dilatation(self, u: np.ndarray) -> np.ndarray:
         """Mean J (E,) of each cell."""

@@ -144,8 +144,7 @@ class Solver:
         """
         remaining = _checked_steps(duration, steps)
         load_now = self._first(load)
-        if self.gate and remaining is None:
-            observers = [*observers, self.gate]
+        gate = self.gate if remaining is None else None
         control, pace = self.control, self.pace
         end = self.time + duration
         jump = (load_now - self.state.load) * self.leapfrog.inverse_mass
@@ -158,7 +157,7 @@ class Solver:
                 load, load_now, self.time, dt, min(BLOCK, left, 2 * self.ramp.steps)
             )
             with np.errstate(all="ignore"):  # an overflow is found, and named, after the block
-                done, stop = self._block(dt, count, left, load_now, load_next, observers)
+                done, stop = self._block(dt, count, left, load_now, load_next, observers, gate)
             load_now = load_next if done == count else self.state.load.copy()
             remaining = None if remaining is None else remaining - done
             stop = stop or self.leapfrog.settle(self.state)
@@ -176,7 +175,7 @@ class Solver:
             )
         return found
 
-    def _block(self, dt, count, left, load_now, load_next, observers):
+    def _block(self, dt, count, left, load_now, load_next, observers, gate):
         """Up to `count` of the `left` steps, fewer if a cell is compressed fast or the run must
         stop: (steps taken, why it must stop or None)."""
         leapfrog, control, pace = self.leapfrog, self.control, self.pace
@@ -188,7 +187,10 @@ class Solver:
             old = self.state
             self.state, stop = leapfrog.step(old, dt, stride, check=i == 0)
             J = leapfrog.force.min_J
-            if observers:
+            looking = observers
+            if gate and gate.looks(old.steps, i + 1 == left):
+                looking = [*observers, gate]
+            if looking:
                 step = Step(
                     old.time,
                     dt,
@@ -203,7 +205,7 @@ class Solver:
                     i + 1 == left,
                     leapfrog,
                 )
-                for observer in observers:
+                for observer in looking:
                     observer(step)
             if ramp:
                 load += slope

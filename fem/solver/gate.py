@@ -9,7 +9,8 @@ import numpy as np
 from fem.errors import SolverStopped, Stop
 from fem.solver.record import Step
 
-CHECK_EVERY = 128  # most steps between looks
+CHECK_EVERY = 128  # most steps between looks at the forces
+SHAPE_EVERY = 256  # and at the shape of the cells
 # the load may not have grown by more than this factor since the look before: in a faint first touch
 # inertia is always as large as the load
 GROWTH = 1.5
@@ -68,8 +69,10 @@ def check_corners(corner_J: np.ndarray, time: float) -> None:
 
 
 class Gate:
-    """Observer of a solver's steps that keeps the Signs of the run, at least once in 128 steps and
-    in the last step of each `advance`.
+    """Observer of a solver's steps that keeps the Signs of the run.
+
+    It looks in the last step of each `advance`, besides at the forces once in 128 steps and at the
+    cells once in 256.
 
     Warns of each sign once that is beyond its limit; of the disequilibrium where the mass is scaled
     alone, for with the true mass it is the motion itself. Raises SolverStopped(INVERTED_CELL) where
@@ -83,19 +86,26 @@ class Gate:
         # the largest so far: N and, of the hourglass modes and of the stress, J
         self._largest = dict.fromkeys(("residual", "load", "motion", "energy", "strain"), 0.0)
         self.corner_J = 1.0
-        self._load_before, self._next = np.inf, 0
+        self._load_before = np.inf
+        self._next = self._next_shape = 0
         self._said: set[Stop] = set()
 
     def __call__(self, step: Step) -> None:
         """Look at the step where it is due."""
-        due = step.steps >= self._next
-        if not (due or step.last):
+        if not self.looks(step.steps, step.last):
             return
-        self._count(step)
+        due = step.steps >= self._next
+        self._count_forces(step)
+        if step.last or step.steps >= self._next_shape:
+            self._count_shape(step)
         if due:  # few at the start, so that the shortest run is looked at more than once
             self._next = step.steps + min(CHECK_EVERY, max(1, step.steps))
             self._warn(step)
             self._load_before = self._largest["load"]
+
+    def looks(self, steps: int, last: bool) -> bool:
+        """Whether it looks at the step after `steps` others, the `last` of an `advance` or not."""
+        return last or steps >= self._next
 
     @property
     def signs(self) -> Signs:
@@ -109,15 +119,19 @@ class Gate:
             self.corner_J,
         )
 
-    def _count(self, step):
-        body, free = step.body, ~step.body.held
-        corners = body.corner_J(step.u)
+    def _count_forces(self, step):
+        free = ~step.body.held
+        residual = np.linalg.norm((step.load - step.internal)[:, free])
+        self._raise(residual=residual, load=np.linalg.norm(step.load[:, free]))
+
+    def _count_shape(self, step):
+        self._next_shape = step.steps + min(SHAPE_EVERY, max(1, step.steps))
+        corners = step.body.corner_J(step.u)
         self.corner_J = float(np.minimum(self.corner_J, corners.min()))  # a NaN stays
         check_corners(corners, step.time)
-        found = body.hourglass(step.u)._asdict() | {
-            "residual": np.linalg.norm((step.load - step.internal)[:, free]),
-            "load": np.linalg.norm(step.load[:, free]),
-        }
+        self._raise(**step.body.hourglass(step.u)._asdict())
+
+    def _raise(self, **found):
         for name, value in found.items():
             self._largest[name] = float(np.maximum(self._largest[name], value))
 
