@@ -57,8 +57,8 @@ def confirmed(
         exact = simulate(true, mesh, contacts, surface_of(mesh))["displacement"].astype(float)
     except SolverStopped:
         return Confirmation(split, number, np.inf)
-    distance = np.linalg.norm(displacement - exact)
-    return Confirmation(split, number, float(distance / max(np.linalg.norm(exact), 1e-300)))
+    distance, size = (float(np.linalg.norm(field)) for field in (displacement - exact, exact))
+    return Confirmation(split, number, distance / max(size, 1e-300))
 
 
 def check_confirmed(scene: Scene, found: list[Confirmation]) -> None:

@@ -271,7 +271,7 @@ hard = [1, 1]
 [health]
 kinetic_share = 1.0
 disequilibrium = 10.0
-mass_error = 1.0
+confirm = 0
 """
 
 

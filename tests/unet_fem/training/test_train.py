@@ -70,7 +70,7 @@ hard = [2, 2]
 imbalance = 0.05
 kinetic_share = 1.0
 disequilibrium = 10.0
-mass_error = 1.0
+confirm = 0
 """
 SETTINGS = """
 name = "{name}"
