@@ -18,6 +18,10 @@ class Stop(StrEnum):
     TOO_MANY_STEPS = "too many steps"
     ENERGY_IMBALANCE = "energy imbalance"
     KINETIC_ENERGY = "kinetic energy"
+    CRUSHED_CORNER = "crushed corner"
+    DISEQUILIBRIUM = "disequilibrium"
+    HOURGLASS_MOTION = "hourglass motion"
+    HOURGLASS_ENERGY = "hourglass energy"
     NOT_AT_REST = "not at rest"
     NOT_FINITE = "not finite"
 
@@ -36,6 +40,12 @@ _REMEDIES = {
     Stop.TOO_MANY_STEPS: "repair the thinnest cell or raise solver.mass_scaling",
     Stop.ENERGY_IMBALANCE: "lower solver.safety or the load",
     Stop.KINETIC_ENERGY: "lower solver.mass_scaling or let the load rise more slowly",
+    Stop.CRUSHED_CORNER: "lower the force or widen its footprint",
+    Stop.DISEQUILIBRIUM: "lower solver.mass_scaling or damping, or let the load rise more slowly",
+    Stop.HOURGLASS_MOTION: "refine the mesh, raise solver.hourglass_stiffness or take"
+    " solver.element = 'full' or 'mean_dilatation'",
+    Stop.HOURGLASS_ENERGY: "refine the mesh, lower solver.hourglass_stiffness or take"
+    " solver.element = 'full' or 'mean_dilatation'",
     Stop.NOT_AT_REST: "fix the mesh, lower the load or raise max_steps",
     Stop.NOT_FINITE: "lower the load",
 }

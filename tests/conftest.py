@@ -51,7 +51,7 @@ TINY = {
         "onset": [0.0, 0.1],
     },
     "interactions": {"seed": 1, "train": 2, "validation": 1, "test": 1, "hard": [1, 1]},
-    "health": {"min_J": 0.76},
+    "health": {"min_J": 0.76, "confirm": 1},
 }
 
 

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from fem.cache import digest
+from fem.contact.table import table_contacts
+from fem.data.confirm import Confirmation, check_confirmed, confirmed, sampled
 from fem.data.interaction import healthy_interaction
 from fem.data.scene import Scene
 from fem.data.write import write_dataset
 from fem.errors import InputError
-from fem.files import make_folder, save_arrays
+from fem.files import make_folder, save_arrays, write_text
 from fem.locks import lock
 from fem.mesh.hexmesh import HexMesh
 from fem.workers import on_all_cores
@@ -31,7 +33,9 @@ def generate(
 
     The result depends on the scene alone, not on the number of worker processes, on the `executor`
     (see fem.workers) or on interruptions: finished interactions wait in a folder beside `path`.
-    Raises InputError where another process writes to `path`, or no draw is fit.
+    Where the mass is scaled a sample of them is simulated again at the true mass, see
+    fem.data.confirm. Raises InputError where another process writes to `path`, no draw is fit, or
+    the sample is too far from the true mass.
     """
     path, mesh = Path(path), scene.mesh.build()
     # a scene that cannot start fails here, not in a worker
@@ -40,9 +44,12 @@ def generate(
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the path of a file")
     with lock(path):
-        parts = _simulated(scene, mesh, _waiting(path, scene, mesh), path.name, workers, executor)
-        write_dataset(path, scene, mesh, map(_read, parts))
-        rejected = sum((Counter(_read(part)["rejected"]) for part in parts), Counter())
+        folder, run = _waiting(path, scene, mesh), (path.name, workers, executor)
+        parts = _simulated(scene, mesh, folder, *run)
+        confirmation = _confirmed(scene, mesh, parts, folder, *run)
+        check_confirmed(scene, confirmation)
+        write_dataset(path, scene, mesh, map(_read, parts.values()), confirmation)
+        rejected = sum((Counter(_read(part)["rejected"]) for part in parts.values()), Counter())
         _remove_waiting(path)
     return dict(rejected)
 
@@ -54,8 +61,9 @@ def _simulated(
     title: str,
     workers: int | None,
     executor: Executor | None,
-) -> list[Path]:
-    """The files of all interactions in `folder`; those that are not there are simulated."""
+) -> dict[tuple[str, int], Path]:
+    """The files of all interactions (split, number) in `folder`; those that are not there are
+    simulated."""
     make_folder(folder)
     paths = {which: folder / "{}-{:04d}.npz".format(*which) for which in scene.interactions.all()}
     todo = [which for which, path in paths.items() if not path.is_file()]
@@ -69,7 +77,38 @@ def _simulated(
         unit="interaction",
         before=len(paths) - len(todo),
     )
-    return list(paths.values())
+    return paths
+
+
+def _confirmed(
+    scene: Scene,
+    mesh: HexMesh,
+    parts: dict[tuple[str, int], Path],
+    folder: Path,
+    title: str,
+    workers: int | None,
+    executor: Executor | None,
+) -> list[Confirmation]:
+    """The sample at the true mass; what is not in `folder` is simulated."""
+    paths = {which: folder / "true-mass-{}-{:04d}.json".format(*which) for which in sampled(scene)}
+    todo = []
+    for which, path in paths.items():
+        if not path.is_file():
+            part = _read(parts[which])
+            contacts = table_contacts(part["contacts"])
+            todo.append((scene, mesh, *which, contacts, part["displacement"]))
+    if todo:
+        on_all_cores(
+            confirmed,
+            todo,
+            f"confirming {title}",
+            executor=executor,
+            workers=workers,
+            keep=lambda task, found: write_text(paths[task[2:4]], json.dumps(found)),
+            unit="interaction",
+            before=len(paths) - len(todo),
+        )
+    return [Confirmation(*json.loads(path.read_text())) for path in paths.values()]
 
 
 def _write(path: Path, result: dict) -> None:

@@ -21,7 +21,7 @@ from fem.contact.table import table_contacts
 from fem.data.draws import redrawn_contacts
 from fem.data.grid import displacement_on_grid, force_on_grid, grid_of
 from fem.data.scene import SPLITS, Scene
-from fem.data.schema import FIELDS, FIRST_FORMAT, FORMAT, check_members
+from fem.data.schema import CONFIRMATION, FIELDS, FIRST_FORMAT, FORMAT, check_members
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.mesh import element
@@ -134,6 +134,13 @@ class Dataset:
                 return table_contacts(file["contacts"][row])
         force = self.sequence(split, number).force
         return redrawn_contacts(self.scene, self.fem_mesh, force, split, number)
+
+    @cached_property
+    def confirmation(self) -> np.ndarray:
+        """(interactions simulated again at the true mass,) with the fields `split`, `number` and
+        `error`, the relative L2 distance of the displacement from it."""
+        with _opened(self.path) as file:
+            return file["confirmation"][()] if "confirmation" in file else np.empty(0, CONFIRMATION)
 
     @cached_property
     def fem_mesh(self) -> HexMesh:

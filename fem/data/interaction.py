@@ -18,11 +18,11 @@ from fem.online.grid import MM, MN
 from fem.solver.energy import (
     EnergyLedger,
     FrameBalances,
-    hourglass_share,
     kinetic_share,
     worst_imbalance,
 )
 from fem.solver.explicit import Solver
+from fem.solver.gate import Gate, Limits, Signs, doubts
 from fem.solver.load_ramp import NodalLoad
 from fem.solver.record import Observer
 
@@ -60,12 +60,13 @@ def simulate(scene: Scene, mesh: HexMesh, contacts: list[Contact], surface: Surf
     """Frames of one interaction on `mesh`.
 
     Returns a dict: force (frames, N, 3) mN, displacement (frames, N, 3) mm, volume (frames,) mm3,
-    energy (frames, 7) in the order of fem.solver.energy.COLUMNS after time, and the health figures
-    imbalance, min_J, kinetic_share, hourglass_share and steps, over the balances of the ledger and
-    those at the frames. Raises SolverStopped if the run cannot go on.
+    energy (frames, 7) in the order of fem.solver.energy.COLUMNS after time, and the health figures:
+    imbalance and kinetic_share, over the balances of the ledger and those at the frames, min_J, the
+    fem.solver.gate.Signs, and steps. Raises SolverStopped if the run cannot go on.
     """
     solver, ledger, times = scene.build_solver(mesh), EnergyLedger(), scene.frames.times
     balances = FrameBalances(ledger, times, scene.material.prony)
+    solver.gate = gate = Gate(warns=False)  # the data are judged by it
     load = Load(surface, contacts)
     frames = stacked(simulate_frames(solver, load, times, [ledger, balances]))
     judged = ledger.rows + balances.rows
@@ -74,7 +75,7 @@ def simulate(scene: Scene, mesh: HexMesh, contacts: list[Contact], surface: Surf
         "imbalance": worst_imbalance(judged),
         "min_J": ledger.smallest_J,
         "kinetic_share": kinetic_share(judged),
-        "hourglass_share": hourglass_share(judged),
+        **gate.signs._asdict(),
         "steps": solver.steps,
     }
 
@@ -89,7 +90,8 @@ def unfit(scene: Scene, result: dict) -> Stop | None:
         return Stop.CRUSHED_CELL
     if not result["kinetic_share"] <= scene.health.kinetic_share:
         return Stop.KINETIC_ENERGY
-    return None
+    limits = Limits(*(getattr(scene.health, name) for name in Limits._fields))
+    return next(iter(doubts(Signs(*(result[name] for name in Signs._fields)), limits)), None)
 
 
 def contacts_of(dataset: Dataset, split: str, number: int) -> list[Contact]:

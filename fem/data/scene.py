@@ -17,6 +17,7 @@ from fem.material.kinds import from_table, to_table
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.read import check_held
 from fem.solver.explicit import Solver
+from fem.solver.gate import LIMITS
 
 SPLITS = ("train", "validation", "test")
 
@@ -132,14 +133,26 @@ class Interactions:
 @dataclass(frozen=True)
 class Health:
     """What a sequence must fulfil to enter a dataset: energy imbalance, smallest J, kinetic over
-    strain energy."""
+    strain energy, and the fem.solver.gate.Signs.
+
+    confirm: how many interactions are simulated again at the true mass where it is scaled;
+    mass_error: largest relative L2 distance of their displacement from it
+    """
 
     imbalance: float = 0.01
     min_J: float = 0.15
     kinetic_share: float = 0.05
+    corner_J: float = LIMITS.corner_J
+    disequilibrium: float = LIMITS.disequilibrium
+    hourglass_motion: float = LIMITS.hourglass_motion
+    hourglass_share: float = LIMITS.hourglass_share
+    confirm: int = 3
+    mass_error: float = 0.02
 
     def __post_init__(self) -> None:
         config.normalised(self)
+        if self.confirm < 0:
+            raise InputError(f"health.confirm = {self.confirm} must not be negative; 0 is none")
 
 
 @dataclass(frozen=True)

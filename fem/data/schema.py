@@ -4,6 +4,7 @@ words."""
 from pathlib import Path
 
 import h5py
+import numpy as np
 
 from fem.errors import InputError
 
@@ -20,6 +21,8 @@ UNITS = {
     "mesh/displacement": "mm",
     "mesh/points": "m",
 }
+# a row for each interaction that was simulated again at the true mass; error: relative L2
+CONFIRMATION = np.dtype([("split", "S10"), ("number", "i8"), ("error", "f8")])
 FIELDS = ("force", "displacement")
 # kinds of type and shape of what every file holds: I interactions, F frames, a grid of x, y, z
 # nodes and E cells
@@ -36,10 +39,12 @@ SCHEMA = {
     "displacement": ("f", "IFxyz3"),
     "volume": ("f", "IF"),
 }
-# of newer files and of embedded meshes: N nodes, C cells, K contacts, and one size of its own each
+# of newer files and of embedded meshes: N nodes, C cells, K contacts, R interactions that were
+# simulated again, and one size of its own each
 OPTIONAL = {
     "energy": ("f", "IFe"),
     "contacts": ("V", "IK"),
+    "confirmation": ("V", "R"),
     "mesh/points": ("f", "N3"),
     "mesh/cells": ("iu", "C8"),
     "mesh/fixed": ("b", "N"),

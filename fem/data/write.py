@@ -11,24 +11,30 @@ import h5py
 import numpy as np
 
 from fem.contact.table import TABLE, contact_table
+from fem.data.confirm import Confirmation
 from fem.data.grid import displacement_from_grid, displacement_on_grid, force_on_grid
 from fem.data.scene import Scene
-from fem.data.schema import FIELDS, FORMAT, UNITS
+from fem.data.schema import CONFIRMATION, FIELDS, FORMAT, UNITS
 from fem.errors import InputError
 from fem.files import replacing
 from fem.measure.machine import versions
 from fem.mesh.hexmesh import HexMesh
 from fem.online.grid import MM
 from fem.solver.energy import COLUMNS
+from fem.solver.gate import Signs
 
-HEALTH = ("imbalance", "min_J", "kinetic_share", "hourglass_share", "steps")
+HEALTH = ("imbalance", "min_J", "kinetic_share", *Signs._fields, "steps")
 
 
 def write_dataset(
-    path: str | Path, scene: Scene, mesh: HexMesh, results: Iterable[dict[str, Any]]
+    path: str | Path,
+    scene: Scene,
+    mesh: HexMesh,
+    results: Iterable[dict[str, Any]],
+    confirmation: Iterable[Confirmation] = (),
 ) -> None:
     """Write the interactions `results` (dicts of fem.data.interaction, in the order of
-    scene.interactions.all()) to `path`.
+    scene.interactions.all()) to `path`, with the confirmation of some of them.
 
     A temporary file beside it takes its place only when it is complete.
     """
@@ -56,6 +62,8 @@ def write_dataset(
             for name, column in columns.items():
                 column[i] = row[name.removeprefix("health/")]
             rejected.update(result["rejected"])
+        if rows := [tuple(one) for one in confirmation]:
+            file["confirmation"] = np.array(rows, CONFIRMATION)
         file.attrs["rejected"] = json.dumps(rejected)
         file.attrs["embedding_error"] = float(np.sqrt(lost / size)) if size else 0.0
         for name, unit in UNITS.items():

@@ -10,13 +10,14 @@ import numpy as np
 
 from fem.contact.push import smooth_step
 from fem.contact.surface import Surface
-from fem.errors import SolverStopped
+from fem.errors import SolverStopped, Stop
 from fem.material.neo_hooke import NeoHooke
 from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box
 from fem.solver.energy import EnergyLedger
 from fem.solver.explicit import Solver
+from fem.solver.gate import Gate, doubts
 from fem.solver.internal_force import ELEMENTS
 from fem.solver.rest import equilibrium
 
@@ -232,6 +233,96 @@ def hour(choice: tuple[str, str]) -> float:
 def densities(ratio: float) -> np.ndarray:
     """One factor a cell on the density: 1 on one half of the block, `ratio` on the other."""
     return np.where(BLOCK.points[BLOCK.cells].mean(axis=1)[:, 0] < 3 * EDGE, 1.0, ratio)
+
+
+class Rejected(Exception):
+    """The gate rejects an answer for `reason`, a Stop; `error`: relative, against the reference."""
+
+    def __init__(self, reason: Stop, error: float) -> None:
+        super().__init__(reason)
+        self.reason, self.error = reason, error
+
+
+def believed(error: float, gate: Gate | None) -> float:
+    """The error of a run that its gate lets pass. Raises Rejected."""
+    reasons = doubts(gate.signs) if gate else []
+    if reasons:
+        raise Rejected(reasons[0], error)
+    return error
+
+
+SLOW = 0.1  # s between the frames of a slow push
+
+
+def slow_push(factor: float, frames: int = 20, **choices: Any) -> tuple[np.ndarray, Gate | None]:
+    """(frames, 3, N) displacement of the viscoelastic block under a push that rises within 0.6 s,
+    stays, and goes within 0.6 s; and its gate."""
+    load, found = push(BLOCK, factor * FORCE), []
+    solver, ledger = Solver(BLOCK, PAPER, **choices), EnergyLedger()
+    for frame in range(1, frames + 1):
+        solver.advance(
+            frame * SLOW - solver.time,
+            lambda t: smooth_step(t / 0.6) * (1 - smooth_step((t - 1.0) / 0.6)) * load,
+            [ledger],
+        )
+        found.append(solver.u.copy())
+    return np.array(found), solver.gate
+
+
+@cache
+def true_mass(factor: float, damping: float) -> np.ndarray:
+    """A slow push with the true mass."""
+    return slow_push(factor, damping=damping)[0]
+
+
+def scaled_mass(factor: float, damping: float, scaling: float) -> float:
+    """A slow push with scaled mass against the same with the true, judged by the gate."""
+    got, gate = slow_push(factor, damping=damping, mass_scaling=scaling)
+    return believed(difference(got, true_mass(factor, damping)), gate)
+
+
+FINE = 4  # cells of the reference to an edge
+# label: peak N, place m, radius m, tangential over normal force
+PUSHES = {
+    "middle": (FORCE, (3e-3, 3e-3), RADIUS, 0.0),
+    "narrow": (0.5 * FORCE, (3e-3, 3e-3), 1.3e-3, 0.0),
+    "inclined": (2 * FORCE, (2.2e-3, 2.6e-3), RADIUS, 0.5),
+}
+
+
+def push_of(label: str, mesh: HexMesh) -> np.ndarray:
+    """(3, N) N of one of PUSHES."""
+    peak, place, radius, slope = PUSHES[label]
+    share = Surface(mesh).footprint(np.array([*place, mesh.points[:, 2].max()]), radius)
+    return peak * np.array([[slope], [slope / 3], [-1.0]]) * share
+
+
+@cache
+def fine_rest(label: str) -> np.ndarray:
+    """(3, N) displacement at rest at the nodes of cells of half an EDGE, found on cells of a
+    quarter with mean dilatation."""
+    mesh = box((6 * FINE, 6 * FINE, 4 * FINE), EDGE / FINE)
+    found = equilibrium(mesh, TISSUE, push_of(label, mesh).T, 1e-4, "mean_dilatation")
+    shared = np.all(np.rint(mesh.points / EDGE * FINE) % 2 == 0, axis=1)
+    return found.displacement[shared].T
+
+
+def hourglass(label: str, stiffness: float) -> float:
+    """A push of the reduced element in cells of half an EDGE, brought to rest by damping, against
+    finer cells; judged by the gate."""
+    mesh = box((12, 12, 8), EDGE / 2)
+    load, scale = push_of(label, mesh), ramp(0.15)
+    solver = Solver(mesh, TISSUE, "reduced", hourglass_stiffness=stiffness, damping=100.0)
+    solver.advance(0.3, lambda t: scale(t) * load, [EnergyLedger()])
+    return believed(difference(solver.u, fine_rest(label)), solver.gate)
+
+
+def crushed(factor: float) -> float:
+    """A slow push that crushes corners, in float32, against a third of the step in float64; judged
+    by the gate."""
+    got, gate = slow_push(factor, 10, damping=20.0, precision="float32")
+    exact, _ = slow_push(factor, 10, damping=20.0, safety=0.28)
+    return believed(difference(got, exact), gate)
 
 
 SINGLE = {  # label: material, element, peak force N, history of the load, duration s

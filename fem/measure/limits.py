@@ -1,10 +1,10 @@
-"""The map of limits: where the solver is accurate and where it stops.
+"""The map of limits: where the solver is accurate, where it stops, and what the gate rejects.
 
 Every cell of the map is one run at an extreme setting. It ends as accurate, with its error against
-a reference, or as stopped, with the solver's reason. An error above the sweep's tolerance is WRONG,
-and so is a run that does not come to an end. The settings are in fem.measure.sweeps,
-their runs in extreme_runs, the figure and the text in limits_report; tools/stability.py is the
-command.
+a reference, as stopped, with the solver's reason, or, in the rows of slow pushes, as rejected by
+the gate that fem.solver.gate describes. An error above the sweep's tolerance is WRONG, and so is a
+run that does not come to an end. The settings are in fem.measure.sweeps, their runs in
+extreme_runs, the figure and the text in limits_report; tools/stability.py is the command.
 """
 
 import signal
@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.errors import InputError, SolverStopped
+from fem.measure.extreme_runs import Rejected
 from fem.measure.sweeps import Sweep, sweeps
 
 HANG = 300  # s after which a run counts as hanging
 HAS_ALARM = hasattr(signal, "SIGALRM")  # not on Windows, where a run that hangs is not ended
-STATUSES = "accurate", "stopped", "WRONG"
+STATUSES = "accurate", "stopped", "rejected", "WRONG"
 # word of an InputError: short reason
 REFUSALS = {
     "inverted": "inverted cell",
@@ -31,8 +32,8 @@ REFUSALS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """status: "accurate", "stopped" or "WRONG"; error: relative, NaN if stopped; reason: why it
-    stopped."""
+    """status: one of STATUSES; error: relative, NaN if stopped; reason: why it stopped, or is
+    rejected."""
 
     sweep: Sweep
     value: str
@@ -71,6 +72,8 @@ def evaluate(sweep: Sweep, value: object) -> Cell:
         status = "accurate" if error <= sweep.tolerance else "WRONG"
     except SolverStopped as stop:
         reason = str(stop.reason)
+    except Rejected as rejected:
+        error, status, reason = rejected.error, "rejected", str(rejected.reason)
     except InputError as refusal:
         reason = next(
             (short for word, short in REFUSALS.items() if word in str(refusal)), str(refusal)

@@ -17,6 +17,9 @@ FORCE = (0.1, 0.5, 1, 2, 5, 10, 20)
 TAU = (1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 1e2, 1e4, 1e6)
 HOURS = tuple((kind, precision) for kind in ELEMENTS for precision in ("float64", "float32"))
 LAYERS = (0.1, 0.01, 1e-3, 1e-4, 0.0)
+SCALINGS = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
+HOURGLASS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+CRUSH = (4, 5, 6, 6.5, 7, 7.5, 8)
 CORNERS = (0.1, 1e-2, 1e-4, 1e-6, 0.0, -0.1)
 
 
@@ -181,6 +184,38 @@ def sweeps() -> list[Sweep]:
             1e-4,
             (1e-4, -0.1),
             "{:g}".format,
+        ),
+        *(
+            Sweep(
+                f"mass scaling, slow push x{factor:g}, damping {damping:g} / s",
+                SCALINGS,
+                partial(runs.scaled_mass, factor, damping),
+                "the true mass",
+                0.04,
+                (16, 16384) if factor == 1 else (),
+                times,
+            )
+            for factor, damping in ((1, 20.0), (4, 20.0), (1, 0.0))
+        ),
+        *(
+            Sweep(
+                f"hourglass stiffness / mu, {label} push",
+                HOURGLASS,
+                partial(runs.hourglass, label),
+                "cells of half the size, mean dilatation",
+                0.1,
+                (0.0, 0.2) if label == "narrow" else (),
+            )
+            for label in runs.PUSHES
+        ),
+        Sweep(
+            "crushed corners, slow push",
+            CRUSH,
+            runs.crushed,
+            "a third of the step, float64",
+            0.02,
+            (7,),
+            times,
         ),
         Sweep(
             "float32 against float64",

@@ -52,10 +52,15 @@ def corner_jacobians(x: np.ndarray) -> np.ndarray:
         x[:, [3, 2, 7, 6]] - x[:, [0, 1, 4, 5]],
         x[:, 4:] - x[:, :4],
     )
-    normal = np.cross(
-        along_y[:, [0, 1, 1, 0, 2, 3, 3, 2]], along_z[:, [0, 1, 2, 3, 0, 1, 2, 3]], axis=0
+    a, b, c = (
+        along_x[:, [0, 0, 1, 1, 2, 2, 3, 3]],
+        along_y[:, [0, 1, 1, 0, 2, 3, 3, 2]],
+        along_z[:, [0, 1, 2, 3, 0, 1, 2, 3]],
     )
-    return np.einsum("iae,iae->ae", along_x[:, [0, 0, 1, 1, 2, 2, 3, 3]], normal) / 8
+    volume = a[0] * (b[1] * c[2] - b[2] * c[1])  # twice as fast as by np.cross
+    volume += a[1] * (b[2] * c[0] - b[0] * c[2])
+    volume += a[2] * (b[0] * c[1] - b[1] * c[0])
+    return volume / 8
 
 
 def jacobians(points: np.ndarray, cells: np.ndarray, where: np.ndarray) -> np.ndarray:

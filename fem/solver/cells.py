@@ -49,9 +49,10 @@ class Cells:
         unit = law.mu if fused else 1.0
         self.element: FullElement | ReducedElement
         if kind == "reduced":
-            stiffness = hourglass_stiffness * (law.mu if fused else shear_modulus(law))
-            relaxes = bool(law.prony)
-            self.element = ReducedElement(mesh, cells, dtype, scratch, unit, stiffness, relaxes)
+            mu, relaxes = law.mu if fused else shear_modulus(law), bool(law.prony)
+            self.element = ReducedElement(
+                mesh, cells, dtype, scratch, unit, hourglass_stiffness, mu, relaxes
+            )
         else:
             self.element = FullElement(mesh, cells, dtype, scratch, unit)
         make = FusedNeoHooke if fused else GenericStress
@@ -109,6 +110,11 @@ class Cells:
         """(strain, hourglass) energy in J, without relaxation."""
         strain = self.law.strain(u)
         return self.law.energy(strain), self.element.hourglass_energy()
+
+    def hourglass(self, u: np.ndarray) -> tuple[float, float, float]:
+        """(motion, hourglass, strain) energy in J, see InternalForce.hourglass."""
+        strain, hourglass = self.energies(u)
+        return self.element.hourglass_motion(), hourglass, strain
 
     def dilatation(self, u: np.ndarray) -> np.ndarray:
         """Mean J (E,) of each cell."""

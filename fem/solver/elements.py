@@ -101,6 +101,10 @@ class FullElement:
         """No energy beside the strain energy."""
         return 0.0
 
+    def hourglass_motion(self) -> float:
+        """No motion that the stress does not resist."""
+        return 0.0
+
     def viscous_energy(self) -> float:
         """No energy beside that of the viscous stress."""
         return 0.0
@@ -111,9 +115,9 @@ class ReducedElement:
     1981).
 
     The hourglass force k gamma (gamma . u) is exact under rotation: gamma is orthogonal to every
-    linear field. `hourglass` is in Pa, a share of mu, since one in proportion to K + 2 mu locks as
-    nu goes to 0.5, and with Prony terms it relaxes as the cell's stress does: left elastic, it
-    carries the load of a long hold.
+    linear field. k is the share `hourglass` of one in proportion to `mu` (Pa), since one in
+    proportion to K + 2 mu locks as nu goes to 0.5, and with Prony terms it relaxes as the cell's
+    stress does: left elastic, it carries the load of a long hold.
     """
 
     def __init__(
@@ -123,7 +127,8 @@ class ReducedElement:
         dtype: np.dtype,
         scratch: Callable[..., np.ndarray],
         unit: float | np.ndarray,
-        hourglass: float | np.ndarray,
+        hourglass: float,
+        mu: float | np.ndarray,
         relaxes: bool,
     ) -> None:
         self.scratch, self.relaxes, self.congruent = scratch, relaxes, mesh.congruent
@@ -134,10 +139,12 @@ class ReducedElement:
         else:
             mean = self._own_gradients(mesh, cells, dtype, unit)
         # as Flanagan and Belytschko, but with mu for K + 2 mu
-        stiffness = hourglass * self.cell_volume * np.square(mean).sum(axis=(0, 1)) / 8
-        self.stiffness = stiffness.astype(dtype)  # (E,) N/m
+        squares = np.square(mean).sum(axis=(0, 1))
+        # (E,) N/m: of a share of 1, and of what there is
+        self.whole = (mu * self.cell_volume * squares / 8).astype(dtype)
+        self.stiffness = (hourglass * mu * self.cell_volume * squares / 8).astype(dtype)
         if mesh.congruent:
-            self._stack(dtype, unit, np.ndim(hourglass))
+            self._stack(dtype, unit, np.ndim(mu))
         self.reset()
 
     def _share_gradient(self, mesh, cells, dtype, unit):
@@ -233,17 +240,20 @@ class ReducedElement:
 
     def hourglass_energy(self) -> float:
         """Energy in J of the hourglass modes of the last displacement, without relaxation."""
-        return self._energy(1)
+        return self._energy(self.stiffness)
+
+    def hourglass_motion(self) -> float:
+        """The energy in J that the same motion would have under a hourglass stiffness of mu: it
+        tells where there is little stiffness, or none."""
+        return self._energy(self.whole)
 
     def viscous_energy(self) -> float:
         """What relaxation has taken from that energy, J."""
-        return self._energy(self.share - 1)
+        return self._energy(self.stiffness * (self.share - 1))
 
-    def _energy(self, share):
-        Q = self._modes
-        return float(
-            np.sum(np.square(Q[:, 3:]).sum(axis=(0, 1)) * self.stiffness * share, dtype=float) / 2
-        )
+    def _energy(self, stiffness):
+        modes = np.square(self._modes[:, 3:]).sum(axis=(0, 1))
+        return float(np.sum(modes * stiffness, dtype=float) / 2)
 
 
 def _congruent(rule, weight, jacobian):

@@ -1,6 +1,5 @@
 """The energy balance of a run, kept by observers of its steps."""
 
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,7 +10,6 @@ from fem.solver.record import Step
 from fem.solver.step_control import STANDSTILL
 
 CHECK_EVERY = 128  # steps between balances
-HOURGLASS_SHARE = 0.05  # of strain energy, beyond which the ledger warns, once
 LIMIT = 0.10  # imbalance at which a run stops
 
 
@@ -42,25 +40,17 @@ def worst_imbalance(rows: Sequence[Balance]) -> float:
 
 
 def kinetic_share(rows: Sequence[Balance]) -> float:
-    """Mean kinetic energy over mean strain energy of some balances: below 0.05 the motion is slow
-    enough for mass scaling."""
+    """Mean kinetic energy over mean strain energy of some balances."""
     kinetic, strain = sum(row.kinetic for row in rows), sum(row.strain for row in rows)
     return float(kinetic / max(strain, 1e-300))
-
-
-def hourglass_share(rows: Sequence[Balance]) -> float:
-    """Largest hourglass energy over largest strain energy of some balances."""
-    hourglass, strain = max(row.hourglass for row in rows), max(row.strain for row in rows)
-    return float(hourglass / max(strain, 1e-300))
 
 
 class EnergyLedger:
     """Observer of a solver's steps: external work against kinetic, strain, hourglass, viscous and
     damping energy, in J.
 
-    `rows` holds one Balance about every 128 steps, `smallest_J` the smallest J of all steps. Warns
-    once when hourglass energy exceeds 5 % of strain energy. Raises SolverStopped(ENERGY_IMBALANCE)
-    beyond 10 %, there or in the last step of an `advance`.
+    `rows` holds one Balance about every 128 steps, `smallest_J` the smallest J of all steps. Raises
+    SolverStopped(ENERGY_IMBALANCE) beyond 10 %, there or in the last step of an `advance`.
     """
 
     def __init__(self) -> None:
@@ -68,7 +58,7 @@ class EnergyLedger:
         self.scale, self.smallest_J = 0.0, 1.0
         self.external = self.damping = 0.0
         self._ahead = self._loss = self._dt = 0.0
-        self._next, self._warned = 0, False
+        self._next = 0
 
     def __call__(self, step: Step) -> None:
         """Count the work of the step."""
@@ -87,7 +77,6 @@ class EnergyLedger:
             self.scale = self._scale(step, row.kinetic + row.strain)
             self.rows.append(row)
             self._judge(row)
-            self._warn(row)
         elif step.last:
             self._judge(self.balance(step))
 
@@ -113,19 +102,6 @@ class EnergyLedger:
 
     def _scale(self, step, stored):
         return max(self.scale, step.body.negligible_energy, abs(self.external), stored)
-
-    def _warn(self, row):
-        small = HOURGLASS_SHARE * row.strain, 0.01 * self.scale
-        if self._warned or not row.hourglass > max(small):
-            return
-        self._warned = True
-        warnings.warn(
-            f"hourglass energy is {100 * row.hourglass / row.strain:.0f} % of strain energy"
-            f" at {row.time:.4g} s (5 % is usual): the reduced element bends too coarsely here;"
-            " refine the mesh or take element = 'full' or 'mean_dilatation'",
-            RuntimeWarning,
-            stacklevel=3,
-        )
 
     def _judge(self, row):
         if not row.imbalance <= LIMIT:

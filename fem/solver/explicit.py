@@ -10,6 +10,7 @@ import numpy as np
 from fem.errors import InputError, SolverStopped, Stop
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.solver.gate import Gate
 from fem.solver.internal_force import InternalForce
 from fem.solver.leapfrog import Leapfrog
 from fem.solver.load_ramp import LoadRamp, NodalLoad
@@ -30,6 +31,9 @@ class Solver:
     safety: share of the critical time step that is used
     control: makes the step control from the leapfrog and the safety
     allow_locking: take the full element for nearly incompressible tissue too, to see it lock
+
+    `gate` looks on where an `advance` picks its steps itself, and warns of an answer that is not to
+    be believed, see fem.solver.gate; a loop of fixed steps is judged by its error.
 
     `state` holds displacement and velocity, `pace` the critical step, `leapfrog` the mesh, the
     masses and the internal force; `snapshot` and `restore` keep a run and go on from it. The step
@@ -63,6 +67,7 @@ class Solver:
             allow_locking,
         )
         self.control = control(self.leapfrog, safety)
+        self.gate: Gate | None = Gate()
         self.state, self.pace = self.leapfrog.rest(), Pace()
         self.ramp = LoadRamp(np.zeros((3, mesh.n_nodes)), BLOCK)
         self.estimate_step()
@@ -139,6 +144,7 @@ class Solver:
         """
         remaining = _checked_steps(duration, steps)
         load_now = self._first(load)
+        gate = self.gate if remaining is None else None
         control, pace = self.control, self.pace
         end = self.time + duration
         jump = (load_now - self.state.load) * self.leapfrog.inverse_mass
@@ -151,7 +157,7 @@ class Solver:
                 load, load_now, self.time, dt, min(BLOCK, left, 2 * self.ramp.steps)
             )
             with np.errstate(all="ignore"):  # an overflow is found, and named, after the block
-                done, stop = self._block(dt, count, left, load_now, load_next, observers)
+                done, stop = self._block(dt, count, left, load_now, load_next, observers, gate)
             load_now = load_next if done == count else self.state.load.copy()
             remaining = None if remaining is None else remaining - done
             stop = stop or self.leapfrog.settle(self.state)
@@ -169,7 +175,7 @@ class Solver:
             )
         return found
 
-    def _block(self, dt, count, left, load_now, load_next, observers):
+    def _block(self, dt, count, left, load_now, load_next, observers, gate):
         """Up to `count` of the `left` steps, fewer if a cell is compressed fast or the run must
         stop: (steps taken, why it must stop or None)."""
         leapfrog, control, pace = self.leapfrog, self.control, self.pace
@@ -181,7 +187,10 @@ class Solver:
             old = self.state
             self.state, stop = leapfrog.step(old, dt, stride, check=i == 0)
             J = leapfrog.force.min_J
-            if observers:
+            looking = observers
+            if gate and gate.looks(old.steps, i + 1 == left):
+                looking = [*observers, gate]
+            if looking:
                 step = Step(
                     old.time,
                     dt,
@@ -196,7 +205,7 @@ class Solver:
                     i + 1 == left,
                     leapfrog,
                 )
-                for observer in observers:
+                for observer in looking:
                     observer(step)
             if ramp:
                 load += slope

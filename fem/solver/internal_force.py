@@ -144,6 +144,16 @@ class InternalForce:
         strain, hourglass = np.sum([chunk.energies(u) for chunk in self._chunks], axis=0)
         return strain, hourglass
 
+    def hourglass(self, u: np.ndarray) -> tuple[float, float, float]:
+        """Energies in J at the displacement u (3, N): of the hourglass modes if the hourglass
+        stiffness were the shear modulus, of the hourglass modes, and strain, all without
+        relaxation; zeros for elements that have no such modes."""
+        if self.element != "reduced":
+            return 0.0, 0.0, 0.0
+        u = self._cast(u)
+        motion, energy, strain = np.sum([chunk.hourglass(u) for chunk in self._chunks], axis=0)
+        return motion, energy, strain
+
     def viscous_energy(self, u: np.ndarray) -> float:
         """Work in J of the viscous stresses up to the displacement u (3, N): minus what relaxation
         has spared so far."""

@@ -7,15 +7,17 @@ import numpy as np
 
 from fem.errors import InputError, Stop
 from fem.material.base import Hyperelastic, poisson_ratio, shear_modulus
+from fem.mesh import element as hexahedron
 from fem.mesh.hexmesh import HexMesh
 from fem.solver.critical_step import lumped_mass
 from fem.solver.internal_force import InternalForce
-from fem.solver.record import Energies
+from fem.solver.record import Energies, Hourglass
 
 # above it the full element is more than 8 % too stiff under a footprint of 4 cells' radius, see
 # docs/stability.md
 LOCKING_NU = 0.45
 SMALLEST_J = 0.05  # below it a cell has lost its meaning, and p = K (J - 1) - mu / J runs away
+PASS = 512  # cells whose corners are looked at together
 NEGLIGIBLE = 1e-30  # m and m/s: subnormal numbers would slow a step sixteen-fold
 
 
@@ -77,9 +79,16 @@ class Leapfrog:
                 mesh, material.elastic(), element, "float64", hourglass_stiffness
             )
         self.mass = lumped_mass(mesh, material.density * np.asarray(mass_scaling, float))
+        self.mass_scaled, self.held = bool(np.max(mass_scaling) > 1), mesh.fixed
         self.inverse_mass = np.where(mesh.fixed, 0.0, 1.0 / self.mass)
         self.negligible_energy = 1e-6 * np.mean(shear_modulus(material)) * mesh.volume()
         self.internal = np.zeros((3, mesh.n_nodes))
+        # corners are looked at often: contiguous, and in passes that need no fresh memory
+        self._points = np.ascontiguousarray(mesh.points.T)
+        self._corners = [
+            (index, hexahedron.corner_jacobians(self._points[:, index]))
+            for index in np.split(mesh.cells.T, range(PASS, mesh.n_cells, PASS), axis=1)
+        ]
         # a step writes to the buffer that its state does not hold
         self._u, self._v = ([np.zeros((3, mesh.n_nodes)) for _ in range(2)] for _ in "uv")
 
@@ -159,6 +168,22 @@ class Leapfrog:
         strain, hourglass = self.elastic_force.energies(u)
         return Energies(
             self.kinetic_energy(velocity), strain, hourglass, self.force.viscous_energy(u)
+        )
+
+    def hourglass(self, u: np.ndarray) -> Hourglass:
+        """The Hourglass of displacement u (3, N) m."""
+        return Hourglass(*self.force.hourglass(u))
+
+    def corner_J(self, u: np.ndarray) -> np.ndarray:
+        """(E,) smallest volume ratio at a corner of each cell, of displacement u (3, N) m."""
+        points = self._points + u
+        return np.concatenate(
+            [
+                (hexahedron.corner_jacobians(points.take(index, axis=1, mode="clip")) / rest).min(
+                    axis=0
+                )
+                for index, rest in self._corners
+            ]
         )
 
 

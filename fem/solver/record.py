@@ -17,17 +17,33 @@ class Energies(NamedTuple):
     viscous: float
 
 
+class Hourglass(NamedTuple):
+    """Energies in J: of the hourglass modes at a stiffness of mu, and at their own, and strain."""
+
+    motion: float
+    energy: float
+    strain: float
+
+
 class Body(Protocol):
-    """What knows the energies of a body in motion."""
+    """What knows the energies and the cells of a body in motion."""
 
     damping: float  # 1/s, proportional to mass
+    mass_scaled: bool  # whether its mass is more than the true one
     negligible_energy: float  # J, of a strain of about 0.1 %
+    held: np.ndarray  # (N,) bool
 
     def kinetic_energy(self, velocity: np.ndarray) -> float:
         """J, of the velocity (3, N) in m/s."""
 
     def energies(self, u: np.ndarray, velocity: np.ndarray) -> Energies:
         """Of the displacement u (3, N) in m and the velocity (3, N) in m/s."""
+
+    def hourglass(self, u: np.ndarray) -> Hourglass:
+        """Of the displacement u (3, N) in m; zeros where there are no hourglass modes."""
+
+    def corner_J(self, u: np.ndarray) -> np.ndarray:
+        """(E,) smallest volume ratio at a corner of each cell, of the displacement u (3, N) m."""
 
 
 @dataclass(slots=True)

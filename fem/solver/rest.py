@@ -58,6 +58,7 @@ def equilibrium(
     relaxed = _relaxed(material)
     for ramp in RAMPS:
         solver = Solver(mesh, relaxed, element, mass_scaling=heavier, allow_locking=allow_locking)
+        solver.gate = None  # the residual says how near rest is
         try:
             return _relax(solver, load, residual, ramp, max_steps)
         except SolverStopped as stop:

@@ -27,6 +27,7 @@ from fem.data.write import HEALTH, write_dataset
 from fem.errors import InputError
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box, tumour
+from fem.solver.gate import Signs
 
 GRID = (5, 5, 3)
 
@@ -165,7 +166,9 @@ def test_written_interactions_are_healthy(tiny, tiny_dataset):
     with h5py.File(tiny_dataset) as file:
         assert file["health/imbalance"][()].max() <= health.imbalance
         assert file["health/min_J"][()].min() >= health.min_J
-        assert file["health/kinetic_share"][()].max() <= health.kinetic_share
+        for name in ("kinetic_share", "disequilibrium", "hourglass_motion", "hourglass_share"):
+            assert file[f"health/{name}"][()].max() <= getattr(health, name)
+        assert file["health/corner_J"][()].min() >= health.corner_J
         assert file["health/steps"][()].min() > 100
 
 
@@ -177,6 +180,11 @@ def test_written_interactions_are_healthy(tiny, tiny_dataset):
         ({"min_J": 0.1}, "crushed cell"),
         ({"min_J": np.nan}, "crushed cell"),
         ({"kinetic_share": 0.2}, "kinetic energy"),
+        ({"disequilibrium": 0.2}, "disequilibrium"),
+        ({"disequilibrium": np.nan}, "disequilibrium"),
+        ({"hourglass_motion": 0.3}, "hourglass motion"),
+        ({"hourglass_share": 0.1}, "hourglass energy"),
+        ({"corner_J": 0.05}, "crushed corner"),
         ({"volume": np.array([1.0, np.inf])}, "not finite"),
         ({}, None),
     ],
@@ -190,7 +198,7 @@ def test_unfit_results_are_told_apart(tiny, spoil, reason):
         "imbalance": 0.0,
         "min_J": 1.0,
         "kinetic_share": 0.0,
-    }
+    } | Signs()._asdict()
     assert unfit(config.build(Scene, tiny), good | spoil) == reason
 
 

@@ -46,6 +46,8 @@ test = 2
 hard = [2, 2]
 [health]
 kinetic_share = 1.0
+disequilibrium = 10.0
+confirm = 0
 """
 TOOL = Path(__file__).parents[3] / "tools/export.py"
 

@@ -270,6 +270,8 @@ test = 1
 hard = [1, 1]
 [health]
 kinetic_share = 1.0
+disequilibrium = 10.0
+confirm = 0
 """
 
 

@@ -2,7 +2,6 @@
 invents energy."""
 
 import dataclasses
-import warnings
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from fem.solver.energy import (
     Balance,
     EnergyLedger,
     FrameBalances,
-    hourglass_share,
     kinetic_share,
     worst_imbalance,
 )
@@ -156,17 +154,6 @@ def test_ledger_only_watches():
     )
 
 
-def test_bending_on_a_coarse_reduced_mesh_is_warned_of_once_and_a_full_one_is_not():
-    """A narrow push on 5 x 5 x 3 reduced cells puts over 5 % of the strain energy into hourglass
-    motion."""
-    with pytest.warns(RuntimeWarning, match="hourglass energy is .* refine the mesh") as said:
-        run(element="reduced", damping=30.0)
-    assert len([warning for warning in said if "hourglass" in str(warning.message)]) == 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        run(element="full", damping=30.0)
-
-
 class Weight:
     """A mass on a spring that a force moves slowly: a body of another solver than the explicit."""
 
@@ -198,8 +185,8 @@ def test_the_ledger_and_the_frames_watch_any_solver():
 
 
 def test_shares_are_of_the_balances_that_are_given():
-    """Means for the kinetic share, extremes for the others; a NaN is never the smaller."""
+    """Means for the kinetic share, extremes for the imbalance; a NaN is never the smaller."""
     rows = [Balance(0.0, 1.0, 4.0, 1.0, 0, 0, 0, 0.1), Balance(1.0, 0.0, 6.0, 3.0, 0, 0, 0, 0.2)]
-    assert kinetic_share(rows) == 0.1 and hourglass_share(rows) == 0.5
+    assert kinetic_share(rows) == 0.1
     assert worst_imbalance(rows) == 0.2 and worst_imbalance([]) == 0.0
     assert np.isnan(worst_imbalance([rows[0]._replace(imbalance=np.nan), rows[1]]))

@@ -69,6 +69,8 @@ hard = [2, 2]
 [health]
 imbalance = 0.05
 kinetic_share = 1.0
+disequilibrium = 10.0
+confirm = 0
 """
 SETTINGS = """
 name = "{name}"
