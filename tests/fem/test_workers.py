@@ -125,7 +125,15 @@ def test_a_dead_worker_is_one_line_and_the_finished_tasks_are_kept():
     assert kept == [0] and "with fewer workers" in str(error.value)
 
 
-def test_an_interruption_says_how_to_go_on(tmp_path):
+@pytest.fixture
+def hears_ctrl_c():
+    """A process in the background may be deaf to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_an_interruption_says_how_to_go_on(tmp_path, hears_ctrl_c):
     """Ctrl-C: what has begun ends and is kept, and the exception carries what was done and the
     remedy."""
     kept = []
