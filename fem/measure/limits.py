@@ -9,6 +9,7 @@ extreme_runs, the figure and the text in limits_report; tools/stability.py is th
 
 import signal
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -67,7 +68,8 @@ def evaluate(sweep: Sweep, value: object) -> Cell:
     """The Cell of one value of a sweep."""
     start, error, status, reason = time.perf_counter(), np.nan, "stopped", ""
     try:
-        with _time_limit(HANG), np.errstate(all="ignore"):
+        with _time_limit(HANG), np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the map tells what a run warns of
             error = float(sweep.run(value))
         status = "accurate" if error <= sweep.tolerance else "WRONG"
     except SolverStopped as stop:
