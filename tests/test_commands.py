@@ -35,6 +35,10 @@ COMMANDS = {
     "tools/benchmark_fem.py": [],
     "tools/draw_contacts.py": [(["none.toml", "a.png"], "none.toml")],
     "tools/export.py": [(["none.h5", "out"], "none.h5")],
+    "tools/force_ranges.py": [
+        (["none.toml"], "none.toml"),
+        (["a.toml", "--usual", "0"], "--usual 0"),
+    ],
     "tools/make_lobe.py": [],
     "tools/prune.py": [(["runs/none"], "runs/none"), (["runs/none", "--sparsity", "2"], "2")],
     "tools/quantize.py": [(["runs/none"], "runs/none")],

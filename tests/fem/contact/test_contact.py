@@ -124,7 +124,7 @@ def test_a_footprint_over_a_step_keeps_its_force_and_its_line_of_action(surface,
     """On and across the bump's edge the nodal forces add up to the contact's force to 1e-12, none
     of them on a held node; seen from above the resultant is within 0.3 % of the radius of the
     centre. It lies as high as the surface that carries it, so that for a tilted force the line of
-    action is off by up to 7 % of the radius."""
+    action is off by up to 8 % of the radius."""
     mesh = tumour()
     for c in drawn:
         for t in np.linspace(c.onset, DURATION, 5):
@@ -132,7 +132,7 @@ def test_a_footprint_over_a_step_keeps_its_force_and_its_line_of_action(surface,
             off = share @ mesh.points - c.centre(t)
             assert abs(share.sum() - 1) < 1e-12 and not share[mesh.fixed].any()
             assert np.linalg.norm(off[:2]) < 0.003 * c.radius
-            assert np.linalg.norm(np.cross(off, c.direction)) < 0.07 * c.radius
+            assert np.linalg.norm(np.cross(off, c.direction)) < 0.08 * c.radius
 
 
 def test_a_footprint_that_reaches_over_the_rim_is_cut(surface):
