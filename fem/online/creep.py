@@ -46,8 +46,8 @@ class Creep:
         g, tau = np.array(prony, float).T
         if not g.sum() < 1:
             raise InputError(
-                f"the weights g of the Prony series add up to {g.sum():g}: such tissue flows without"
-                " end; keep their sum below 1"
+                f"the weights g of the Prony series add up to {g.sum():g}: such tissue flows"
+                " without end; keep their sum below 1"
             )
         v = np.sqrt(g / tau)
         rates, vectors = np.linalg.eigh(np.outer(v, v) - np.diag(1 / tau))

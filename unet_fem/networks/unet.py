@@ -17,7 +17,7 @@ def unet(
     mask: np.ndarray | None = None,
     lib: ModuleType | None = None,
 ) -> keras.Model:
-    """U-Net of the authors: force (B, nx, ny, nz, 3) in mN -> displacement (B, nx, ny, nz, 3) in mm.
+    """The authors' U-Net: force (B, nx, ny, nz, 3) in mN -> displacement (B, nx, ny, nz, 3) in mm.
 
     The layers are those of the code that the authors published beside arXiv 2301.04614 and of the
     paper's list for the decoder, "64, 64, 128, 64, and 3": the skip connection comes after the
