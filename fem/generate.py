@@ -32,9 +32,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if out.is_file():
         raise InputError(f"{out} exists already; delete it to make it again, or give another --out")
     rejected = generate(scene, out, options.workers)
-    counts = ", ".join(f"{reason} {count}" for reason, count in sorted(rejected.items())) or "none"
-    print(f"wrote {out} ({out.stat().st_size / 1e6:.0f} MB); rejected draws: {counts}")
+    print(f"wrote {out} ({out.stat().st_size / 1e6:.0f} MB); rejected draws: {_counts(rejected)}")
     dataset = open_dataset(out)
+    for split, counts in dataset.rejected.items():
+        kept = (dataset.split == split).sum()
+        print(f"  {split}: {sum(counts.values())} for {kept} interactions ({_counts(counts)})")
     if len(dataset.confirmation):
         print(
             f"{len(dataset.confirmation)} interactions again at the true mass: displacement differs"
@@ -48,6 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
     if not options.quiet:
         print(f"next: python -m unet_fem.train scene={options.scene} data={out} name={out.stem}")
+
+
+def _counts(rejected: dict[str, int]) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in sorted(rejected.items())) or "none"
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:

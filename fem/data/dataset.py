@@ -107,6 +107,11 @@ class Dataset:
         if split not in SPLITS:
             raise InputError(f"split '{split}' is not one of {', '.join(SPLITS)}")
         rows = np.flatnonzero(self.split == split)
+        if not rows.size:
+            raise InputError(
+                f"{self.path} has no {split} interactions; set interactions."
+                f"{'hard_set' if split == 'hard' else split} in its scene and generate it again"
+            )
         if numbers is not None:
             rows = np.array([self._row(split, number) for number in numbers], int)
         whole = len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows)))
@@ -167,6 +172,13 @@ class Dataset:
         return self.scene.material_on(self.fem_mesh)
 
     @cached_property
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """{split: {reason: count}} of the draws that were refused; empty for files from before they
+        were counted by split."""
+        with _opened(self.path) as file:
+            return json.loads(file.attrs.get("rejected_by_split", "{}"))
+
+    @cached_property
     def mesh_digest(self) -> str:
         """HexMesh.digest of fem_mesh."""
         return self.fem_mesh.digest
@@ -222,7 +234,9 @@ class Dataset:
     def _row(self, split, number):
         rows = np.flatnonzero((self.split == split) & (self.number == number))
         if not rows.size:
-            have = ", ".join(f"{name} 1 to {(self.split == name).sum()}" for name in SPLITS)
+            have = ", ".join(
+                f"{name} 1 to {(self.split == name).sum()}" for name in SPLITS if name in self.split
+            )
             raise InputError(f"{self.path} has no {split} interaction {number}; it has {have}")
         return rows[0]
 

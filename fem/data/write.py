@@ -45,7 +45,8 @@ def write_dataset(
         _write_grid(file, embedding.grid_mesh if embedding else mesh)
         _write_mesh(file, mesh)
         columns = _columns(file, scene, mesh, file["mask"].shape)
-        rejected: Counter = Counter()
+        order = [split for split, _ in scene.interactions.all()]
+        rejected: dict[str, Counter] = {split: Counter() for split in order}
         lost = size = 0.0  # mm2
         for i, result in enumerate(results):
             displacement = displacement_on_grid(mesh, embedding, result["displacement"])
@@ -61,10 +62,11 @@ def write_dataset(
                 size += np.sum(np.square(result["displacement"], dtype=float))
             for name, column in columns.items():
                 column[i] = row[name.removeprefix("health/")]
-            rejected.update(result["rejected"])
+            rejected[order[i]].update(result["rejected"])
         if rows := [tuple(one) for one in confirmation]:
             file["confirmation"] = np.array(rows, CONFIRMATION)
-        file.attrs["rejected"] = json.dumps(rejected)
+        file.attrs["rejected"] = json.dumps(sum(rejected.values(), Counter()))
+        file.attrs["rejected_by_split"] = json.dumps(rejected)
         file.attrs["embedding_error"] = float(np.sqrt(lost / size)) if size else 0.0
         for name, unit in UNITS.items():
             if name in file:

@@ -23,7 +23,7 @@ def study_dataset(study: Study) -> Dataset:
 
 def hard_numbers(dataset: Dataset) -> list[int]:
     """Numbers of the test interactions that push harder than any in training."""
-    return dataset.number[dataset.hard].tolist()
+    return dataset.number[dataset.hard & (dataset.split == "test")].tolist()
 
 
 def judged_numbers(study: Study, dataset: Dataset) -> list[int]:

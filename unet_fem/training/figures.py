@@ -148,7 +148,7 @@ def interaction_curves(
     line = {"color": "crimson", "linestyle": "--", "linewidth": 1}
     axes[1].axhline(100 * gate, **line, label=f"{100 * gate:g} % gate")
     axes[1].set(xlabel="test interaction", ylabel="largest volume violation (%)", ylim=(0, None))
-    for axis in axes:
+    for axis in axes if len(hard) else ():
         axis.axvspan(
             min(hard) - 0.5,
             max(hard) + 0.5,

@@ -20,6 +20,7 @@ from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import Settings
 
 BATCH = 32  # samples that are predicted at once
+HARD_SET = "hard set"  # the split "hard" in metrics.json, where "hard" are those of the tests
 COLUMNS = {  # key in metrics.json: (heading, format)
     "relative_l2": ("relative L2 %", lambda x: f"{100 * x:.1f}"),
     "mean_mm": ("mean mm", "{:.4f}".format),
@@ -103,36 +104,43 @@ def evaluate(settings: Settings, dataset: Dataset) -> dict:
     figures."""
     models, window = competitors(settings, dataset), settings.model.window
     metrics: dict[str, dict] = {name: {} for name in (*models, "FEM")}
-    for split in ("validation", "test"):
+    splits = ["validation", "test"] + ["hard"] * ("hard" in dataset.split)
+    for split in splits:
         samples = load_samples(dataset, split, window)
         print(f"evaluating {len(samples)} {split} samples", flush=True)
         predictions = {name: predict(model, samples, dataset) for name, model in models.items()}
-        parts = {split: slice(None)} | ({"hard": samples.hard} if split == "test" else {})
+        parts: dict[str, slice | np.ndarray] = {HARD_SET if split == "hard" else split: slice(None)}
+        if split == "test" and samples.hard.any():
+            parts["hard"] = samples.hard
         for part, rows in parts.items():
             chosen = samples.select(rows)
             for name, (field, volume) in predictions.items():
                 metrics[name][part] = error_metrics(field[rows], chosen, dataset, volume[rows])
             at_rest = samples.volume[0]  # the first sample is at rest
             metrics["FEM"][part] = volume_violations(chosen.volume, at_rest)
+        if split == "test":
+            gate = settings.loss.volume_threshold
+            figures.draw_all(settings.folder / "figures", dataset, samples, predictions, gate)
     metrics["extremes"] = judge_extremes(models, dataset, window)
     write_text(settings.folder / "metrics.json", json.dumps(metrics, indent=1))
-    gate = settings.loss.volume_threshold
-    figures.draw_all(settings.folder / "figures", dataset, samples, predictions, gate)
     print(table(metrics, dataset))
     print(extremes_table(metrics["extremes"], models))
     return metrics
 
 
 def table(metrics: dict, dataset: Dataset) -> str:
-    """The metrics as text, a block for each split."""
+    """The metrics as text, a block for each split and one for the hard ones of the tests."""
     counts = {
         "validation": (dataset.split == "validation").sum(),
         "test": (dataset.split == "test").sum(),
-        "hard": dataset.hard.sum(),
+        "hard": (dataset.hard & (dataset.split == "test")).sum(),
+        HARD_SET: (dataset.split == "hard").sum(),
     }
     rows = {name: splits for name, splits in metrics.items() if name != "extremes"}
     lines = []
     for split, count in counts.items():
+        if not count:
+            continue
         title = f"{split} ({count} interactions)"
         headings = "".join(f"  {heading}" for heading, _ in COLUMNS.values())
         lines += ["", title + headings]

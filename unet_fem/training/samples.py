@@ -56,7 +56,7 @@ class Samples:
 
 
 def load_samples(dataset: Dataset, split: str, steps: int | None) -> Samples:
-    """Samples of `split` ("train", "validation", "test") of a fem.data.dataset.Dataset, with
+    """Samples of `split` (of fem.data.scene.SPLITS) of a fem.data.dataset.Dataset, with
     windows of `steps` frames."""
     fields = dataset.read(split)
     frames = fields["force"].shape[1]

@@ -50,6 +50,26 @@ def test_without_hard_tests_none_is_hard():
         Interactions(1, 2, 1, 8, hard_force=(2.0, 3.0))
 
 
+def test_every_interaction_of_the_hard_set_is_hard():
+    """They come after all others, whether or not some tests are hard; without them there is no such
+    split."""
+    for hard in (None, (2, 3)):
+        chosen = Interactions(1, 2, 1, 4, hard=hard, hard_set=3)
+        assert chosen.all() == [
+            *Interactions(1, 2, 1, 4, hard=hard).all(),
+            *(("hard", number) for number in (1, 2, 3)),
+        ]
+        assert [which for which in chosen.all() if chosen.is_hard(*which)] == [
+            *(("test", number) for number in (2, 3) if hard),
+            *(("hard", number) for number in (1, 2, 3)),
+        ]
+        assert chosen.hard_force == (1.3, 1.6)
+    other = replace(scene(), interactions=chosen)
+    assert config.build(Scene, tomllib.loads(other.toml())) == other
+    with pytest.raises(InputError, match="interactions.hard_set = -1 must not be negative"):
+        Interactions(1, 2, 1, 4, hard_set=-1)
+
+
 def test_settings_without_a_say_are_refused():
     """What a kind of mesh or element would ignore is an InputError, also where it is the default of
     another."""

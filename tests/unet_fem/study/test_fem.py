@@ -13,7 +13,7 @@ from fem.files import save_arrays
 from fem.mesh.shapes import box, refined, tumour
 from fem.solver.frame_loop import SAFETY, LoopSettings, coarse_mesh, longest_step
 from unet_fem.deployment.latency import time_steppers
-from unet_fem.study.dataset import frame_forces, frames_between
+from unet_fem.study.dataset import frame_forces, frames_between, hard_numbers
 from unet_fem.study.measure import fixed_latency, loops, reference, tuning, variants
 from unet_fem.study.measure.run_time import loop_steppers
 from unet_fem.study.measure.sums import relative_l2, sums_of_squares
@@ -215,3 +215,9 @@ def test_every_tuned_loop_is_judged_and_can_be_timed(study, dataset, truth):
     assert set(steppers) == {p["name"] for p in points}
     force = frame_forces(dataset, "test", 1, FRAME)[-1]
     assert all(np.abs(stepper.step(force)).max() > 0 for stepper in steppers.values())
+
+
+def test_the_hard_ones_of_the_study_are_tests_even_where_there_is_a_hard_set():
+    split, number = np.array(["train", "test", "test", "hard"]), np.array([1, 1, 2, 7])
+    dataset = SimpleNamespace(split=split, number=number, hard=np.array([False, False, True, True]))
+    assert hard_numbers(dataset) == [2]

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import h5py
 import keras
@@ -66,6 +67,7 @@ train = 4
 validation = 2
 test = 3
 hard = [2, 2]
+hard_set = 2
 [health]
 imbalance = 0.05
 kinetic_share = 1.0
@@ -142,8 +144,15 @@ def test_one_command_leaves_a_run_with_model_metrics_and_figures(folder, capsys,
     for name in ("error_vs_depth", "bland_altman", "test_interactions", "fields"):
         assert (run / "figures" / f"{name}.png").stat().st_size > 10_000
     assert not list(run.glob(".partial*"))
-    for name in ("linear regression", "hard (1 interactions)", "relative L2 %", "next: "):
+    for name in (
+        "linear regression",
+        "hard (1 interactions)",
+        "hard set (2 interactions)",
+        "next: ",
+    ):
         assert name in printed
+    assert metrics["FEM"].keys() == {"validation", "test", "hard", "hard set"}
+    assert metrics[{"lstm": "cnn_lstm"}.get(kind, kind)]["hard set"]["relative_l2"] > 0
     history = json.loads((run / "history.json").read_text())
     assert (
         len(history["gate_open"]) == 4
@@ -152,6 +161,16 @@ def test_one_command_leaves_a_run_with_model_metrics_and_figures(folder, capsys,
     before = json.loads((run / "metrics.json").read_text())
     evaluate.main([str(run)])
     assert json.loads((run / "metrics.json").read_text()) == before == metrics
+
+
+def test_a_scene_without_hard_interactions_is_judged_without_them(folder, capsys):
+    text = Path("scene.toml").read_text().replace("hard = [2, 2]\nhard_set = 2\n", "")
+    Path("soft.toml").write_text(text)
+    metrics = train.main(
+        ["lstm.toml", "model.kind=linear", "name=soft", "scene=soft.toml", "data=soft.h5"]
+    )
+    assert metrics["FEM"].keys() == {"validation", "test"}
+    assert "hard" not in capsys.readouterr().out
 
 
 def test_metrics_agree_with_their_definitions(folder):
@@ -313,6 +332,7 @@ def test_shipped_configurations_are_the_papers(request):
     assert (scene.interactions.train + scene.interactions.validation) * scene.frames.count == 1512
     assert scene.interactions.train * scene.frames.count == 1218 and scene.interactions.test == 100
     assert scene.interactions.hard == (78, 85) and scene.interactions.hard_force == (1.3, 1.6)
+    assert scene.interactions.hard_set == 32
     for name in ("quick", "paper"):
         settings = config.load_settings(root / f"configs/{name}.toml")
         assert settings.loss == config.LossChoice(0.1, 0.07, 0.0)
