@@ -30,12 +30,11 @@ def sampled(scene: Scene) -> list[tuple[str, int]]:
     if scene.solver.mass_scaling == 1:
         return []
     rng = np.random.default_rng([interactions.seed, len("confirm")])
-    groups: dict[tuple[str, bool], list[tuple[str, int]]] = {
-        key: []
-        for key in (("test", True), ("train", False), ("validation", False), ("test", False))
+    groups: dict[str, list[tuple[str, int]]] = {
+        group: [] for group in ("hard", "train", "validation", "test")
     }
     for which in interactions.all():
-        groups[which[0], interactions.is_hard(*which)].append(which)
+        groups["hard" if interactions.is_hard(*which) else which[0]].append(which)
     shuffled = [[group[i] for i in rng.permutation(len(group))] for group in groups.values()]
     longest = max(map(len, shuffled))
     in_turn = [group[i] for i in range(longest) for group in shuffled if i < len(group)]
