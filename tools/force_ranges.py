@@ -77,6 +77,7 @@ def main(arguments=None):
         first, last = scene.interactions.hard_force
         head = (
             f"# Forces of {options.scene}\n\n`python tools/force_ranges.py {options.scene}"
+            f" --factors {' '.join(f'{factor:g}' for factor in options.factors)}"
             f" --usual {options.usual} --hard {options.hard} --out {options.out}`\n\n"
             f"Factor 1: {low:g} to {high:g} mN a contact, radius {radii} mm; hard ones {first:g} to"
             f" {last:g} times the largest. Volumes: the largest change of the FEM's own. linear:"
