@@ -20,13 +20,17 @@ def lite_file(settings: Settings, variant: str) -> Path:
     return settings.folder / "lite" / f"{variant}.tflite"
 
 
+def files_there(settings: Settings) -> dict[str, Path]:
+    """{variant: path} of the surrogates that are there, maybe none."""
+    return {path.stem: path for path in sorted((settings.folder / "lite").glob("*.tflite"))}
+
+
 def lite_files(settings: Settings) -> dict[str, Path]:
-    """{variant: path} of those that are there. Raises InputError if there are none."""
-    folder = settings.folder / "lite"
-    files = sorted(folder.glob("*.tflite"))
+    """The same. Raises InputError if there are none."""
+    files = files_there(settings)
     if not files:
         raise InputError(
-            f"{folder} holds no .tflite files;"
+            f"{settings.folder / 'lite'} holds no .tflite files;"
             f" make them with python tools/quantize.py {settings.folder}"
         )
-    return {path.stem: path for path in files}
+    return files

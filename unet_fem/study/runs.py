@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fem.errors import InputError
+from unet_fem.deployment.exported import files_there
 from unet_fem.study.settings import Study
 from unet_fem.training.run import open_run, read_settings
 from unet_fem.training.settings import Settings
@@ -83,15 +84,10 @@ def deployed_runs(study: Study) -> dict[str, tuple[Settings, str | None]]:
     return {name: runs[name] for name in dict.fromkeys(names) if name in runs}
 
 
-def lite_files(settings: Settings) -> dict[str, Path]:
-    """{form: path} of a run's .tflite files."""
-    return {path.stem: path for path in sorted((settings.folder / "lite").glob("*.tflite"))}
-
-
 def run_files(settings: Settings) -> list[Path]:
     """All files of a run that a measurement may read."""
     own = [settings.folder / name for name in ("config.toml", "best.keras", "history.json")]
-    return [path for path in own if path.is_file()] + list(lite_files(settings).values())
+    return [path for path in own if path.is_file()] + list(files_there(settings).values())
 
 
 def train_networks(study: Study) -> None:

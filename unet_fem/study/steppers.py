@@ -11,13 +11,14 @@ import numpy as np
 from fem.data.dataset import Dataset
 from fem.online.regression import RegressionStepper
 from fem.online.stepper import Stepper
+from unet_fem.deployment.exported import files_there
 from unet_fem.deployment.forms import CALL, graph_stepper
 from unet_fem.networks.files import load_model
 from unet_fem.networks.pod import linear, reduced, truncated
 from unet_fem.networks.registry import network
 from unet_fem.networks.stepper import KerasStepper
 from unet_fem.runtime.surrogate import Surrogate
-from unet_fem.study.runs import KERAS, lite_files
+from unet_fem.study.runs import KERAS
 from unet_fem.study.settings import LINEAR, Study
 from unet_fem.training.samples import load_samples
 from unet_fem.training.settings import Settings
@@ -62,7 +63,7 @@ def networks(
         KERAS: lambda: graph_stepper(load_model(path), interval),
         CALL: lambda: KerasStepper.open(path, interval),
     }
-    for form, file in lite_files(settings).items():
+    for form, file in files_there(settings).items():
         forms[form] = partial(Surrogate, file, threads)
     return {
         f"{settings.name}: {form}": Competitor(

@@ -12,6 +12,7 @@ import numpy as np
 from fem.cache import once
 from fem.data.dataset import Dataset
 from unet_fem.deployment.answers import answers
+from unet_fem.deployment.exported import files_there
 from unet_fem.deployment.forms import CALL
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.files import load_model
@@ -21,7 +22,7 @@ from unet_fem.study.measure import sums
 from unet_fem.study.measure.fields import drawn_regression, drawn_runs, keep_field
 from unet_fem.study.measure.judged import judged, run_facts
 from unet_fem.study.measure.reference import references
-from unet_fem.study.runs import KERAS, lite_files, trained_runs
+from unet_fem.study.runs import KERAS, trained_runs
 from unet_fem.study.settings import Study
 from unet_fem.study.steppers import Competitor, networks, regressions
 from unet_fem.training.judge import predict, rest_volume
@@ -89,7 +90,7 @@ def keras_answer(path: Path, samples: Samples, dataset: Dataset) -> np.ndarray:
 def _network(study, settings, name, competitor, dataset, test, truth):
     """The entry of one form of a run, kept until its file, the dataset or the reference changes."""
     batched = competitor.form == KERAS
-    path = settings.folder / "best.keras" if batched else lite_files(settings)[competitor.form]
+    path = settings.folder / "best.keras" if batched else files_there(settings)[competitor.form]
     made_from = _key(study, settings, truth, competitor.form, [dataset.path, path])
     entry = study.cache / "accuracy" / f"{made_from}.json"
     field = entry.with_suffix(".npz") if batched and settings.name in drawn_runs(study) else None
