@@ -19,6 +19,11 @@ COMMANDS = {
         (["configs/quick.toml"], "error: "),
         (["configs/tumour.toml", "--workers", "0"], "--workers 0"),
     ],
+    "fem.reduce": [
+        (["none.h5"], "none.h5"),
+        (["none.h5", "--points", "0"], "points = 0"),
+        (["none.h5", "--inputs", "400"], "inputs = 400"),
+    ],
     "unet_fem.train": [
         (["none.toml"], "none.toml"),
         (["scene=none.toml", "name=nothing"], "none.toml"),
@@ -74,9 +79,9 @@ print(json.dumps(found))
 
 def test_every_command_is_here():
     tools = {f"tools/{path.name}" for path in (ROOT / "tools").glob("*.py")}
-    commands = {
-        name for name in tools if "__main__" in (ROOT / name).read_text()
-    } | {"fem.generate", "unet_fem.train", "unet_fem.evaluate", "unet_fem.runtime"}  # fmt: skip
+    commands = {name for name in tools if "__main__" in (ROOT / name).read_text()}
+    commands |= {"fem.generate", "fem.reduce"}
+    commands |= {"unet_fem.train", "unet_fem.evaluate", "unet_fem.runtime"}
     assert commands == COMMANDS.keys()
 
 

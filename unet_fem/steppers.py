@@ -14,18 +14,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fem.errors import InputError
+from fem.files import load_arrays
 from fem.online.stepper import Stepper
 
 
 @dataclass(frozen=True)
 class Kind:
     """label: for people. make: "module:name" of what builds the stepper from objects. suffix: of
-    the files that it is opened from by `opener`, "module:name" too."""
+    the files that it is opened from by `opener`, "module:name" too; format: what an .npz of it
+    says it is, but for the number."""
 
     label: str
     make: str
     suffix: str | None = None
     opener: str | None = None
+    format: str = ""
 
 
 STEPPERS = {
@@ -41,6 +44,14 @@ STEPPERS = {
         "fem.online.regression:RegressionStepper",
         ".npz",
         "fem.online.regression:RegressionStepper.open",
+        "unet-fem regression",
+    ),
+    "reduced": Kind(
+        "reduced solver",
+        "fem.online.reduced:ReducedStepper",
+        ".npz",
+        "fem.online.reduced:ReducedStepper.open",
+        "unet-fem reduced",
     ),
     "fem": Kind("FEM", "fem.solver.frame_loop:FrameLoop"),
 }
@@ -58,9 +69,14 @@ def open_stepper(path: Path | str, **options: object) -> Stepper:
     """The stepper in the file at `path`; options go to its opener. Raises InputError for a file of
     no kind."""
     suffix = Path(path).suffix
-    for kind in STEPPERS.values():
-        if kind.opener and kind.suffix == suffix:
-            return _named(kind.opener)(path, **options)
+    kinds = [kind for kind in STEPPERS.values() if kind.opener and kind.suffix == suffix]
+    if suffix == ".npz" and Path(path).is_file():
+        form = str(load_arrays(path, "format").get("format"))
+        kinds = [kind for kind in kinds if kind.format and form.startswith(kind.format)]
+        if not kinds:
+            raise InputError(f"{path} is damaged or no file of a stepper (format: {form})")
+    for kind in kinds:
+        return _named(str(kind.opener))(path, **options)
     known = ", ".join(f"{kind.suffix} ({kind.label})" for kind in STEPPERS.values() if kind.suffix)
     raise InputError(f"{path} is no file of a stepper; give one of {known}")
 

@@ -12,12 +12,14 @@ a class gives a new stress or energy, what it would inherit from another law is 
 
 import copy
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse
 
 from fem.errors import InputError
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 STEP = 6e-6  # of a central difference: the cube root of float64's rounding
 
@@ -91,7 +93,7 @@ class Hyperelastic:
         """
         return _changed(self, lambda values: values[cells], n_cells)
 
-    def averaged(self, weights: scipy.sparse.csr_matrix) -> "Hyperelastic":
+    def averaged(self, weights: "scipy.sparse.csr_matrix") -> "Hyperelastic":
         """The law of cells whose parameters are means over those of others: weights (M, E), with
         rows that add up to 1."""
         return _changed(self, lambda values: weights @ values, weights.shape[1])

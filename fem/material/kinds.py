@@ -9,11 +9,8 @@ import numpy as np
 from fem import settings
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
-from fem.material.mooney_rivlin import MooneyRivlin
-from fem.material.neo_hooke import NeoHooke
-from fem.material.ogden import Ogden
+from fem.material.laws import KINDS
 
-KINDS: dict[str, Any] = {"neo_hooke": NeoHooke, "mooney_rivlin": MooneyRivlin, "ogden": Ogden}
 DEFAULT = "neo_hooke"  # not written, so that a scene from before there were others stays the same
 
 

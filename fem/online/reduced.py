@@ -1,0 +1,223 @@
+"""The reduced solver: viscoelastic equilibrium in a few hundred modes, with the material's own law
+at a few hundred points. NumPy alone.
+
+    u   = Phi a                             a (R,) modal coordinates in mm
+    F_p = I + (A a)_p                       deformation gradient at m material points
+    T_p = c P_e(F_p) - F_p Q_p              the law, less the viscous stress of the point's past
+    r   = (g + a_Q - M [T ; b]) / c - a     residual in mm;  b = c a - a_Q,  g = K_r^-1 Phi^T f
+    a  <- a + r, Anderson-accelerated       until |r| is small beside |a|
+
+A frame starts at the linear answer to the creep-convolved force, g~ = g + sum_k j_k s_k, plus the
+last frame's difference from it. P_e is the elastic first Piola-Kirchhoff stress, the viscous one is
+that of S = F^-1 P_e (quasi-linear viscoelasticity), and both are in units of the shear modulus at
+rest of the point. K_r is the stiffness at rest in the modes, and M has K_r^-1 in it. The linear
+part is exact: the points carry the nonlinear remainder alone.
+
+What passes from frame to frame, exact for stresses and forces that run linearly in between
+(a_k, old_k, new_k = fem.online.creep.exponential_weights(dt, tau_k)):
+
+    c   = 1 - sum_k g_k a_k new_k
+    Q   = sum_k g_k ((1 - a_k) q_k + a_k old_k S_old)         S_e at the points, a_Q likewise of a
+    q_k <- (1 - a_k) q_k + a_k old_k S_old + a_k new_k S_new
+
+Neither A, M, g nor the filters hold dt: frames may have any length, and lengths may change.
+
+The arrays of a file `unet-fem reduced 1`, little-endian float32 unless said, C order. Two blocks
+where the body has a mirror plane: 0 of the even modes and 1 of the odd ones, a = [a_0; a_1]. h
+points (or nodes) are on the left, and their images on the right; all that belongs to a right one is
+kept mirrored, R v and R F R, where nothing but the sums and differences below needs a sign. Without
+a mirror there is block 0 alone, and all are left ones.
+
+    A<b> (9 h, n_b) 1/mm       H_b = A_b a_b[:n_b], as (3, 3, h); the first n_b modes are seen
+                               H_left = H_0 + H_1,  H_right = H_0 - H_1;  F = I + H
+    M<b> (R_b, 9 h + n_b)      on z_b = [T_b ; b_b[:n_b]],  T_0 = T_left + T_right and T_1 = T_left
+                               - T_right, as (9 h,); r_b = (g_b + a_Q,b - M_b z_b) / c - a_b
+    encoder<b> (R_b, 3 h_f) mm/mN   g_b of f_0 = f_left + R f_right and f_1 = f_left - R f_right, as
+                               (3, h_f); of the nodes in `force` (sides, h_f) int32
+    decoder<b> (3 h_u, R_b)    u_b (3, h_u);  u_left = u_0 + u_1,  R u_right = u_0 - u_1; of the
+                               nodes in `free` (sides, h_u) int32; the other nodes stand still
+    flexibility<b> (R_b, R_b) mm/mN   K_r^-1 of the block
+    prony (K, 2) float64       g, tau in s
+    grid_shape (3,), grid_index (N,) int64    the node grid of the mesh, where it has one
+    meta uint8                 JSON in UTF-8: `axis` that R flips, digests of `mesh` and `material`,
+                               `law` {kind, parameters: a number, or one a point, left ones first},
+                               `nodes` N, `interval` s of the frames that M was fitted to
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from fem.errors import InputError
+from fem.online.creep import Creep, exponential_weights
+from fem.online.fields import Fields
+from fem.online.reduced_model import ReducedModel
+from fem.online.residual import Residual
+from fem.online.stepper import State, check_interval
+
+# chosen on validation interactions, see docs/reduced.md
+TOLERANCE, MOST, SECANTS = 2e-3, 12, 8
+FLOOR = 1e-4  # mm, of |r|: below it a frame is at rest whatever |a|
+WORSE = 4.0  # a step that raises |r|^2 so much is taken back
+REGULAR = 1e-8  # ridge of the secants, of the largest
+
+
+class ReducedStepper:
+    """A ReducedModel as a Stepper for frames of any length.
+
+    interval: s between calls that give no dt, or None; tolerance: |r| / |a| at which a frame ends;
+    most: evaluations a frame at most, 1 for a fixed effort
+
+    After a step `a` (R,) are its coordinates, `evaluations` how many it took, `unrest` the last
+    |r| / |a|, and `carried` whether all of the force stood at nodes that contacts push on.
+    """
+
+    def __init__(
+        self,
+        model: ReducedModel,
+        interval: float | None = None,
+        tolerance: float = TOLERANCE,
+        most: int = MOST,
+    ) -> None:
+        if not 0 < tolerance < 1:
+            raise InputError(f"tolerance = {tolerance} must be between 0 and 1")
+        if most < 1:
+            raise InputError(f"most = {most} evaluations a frame must be at least 1")
+        if interval is not None:
+            check_interval(None, interval)
+        self.model, self.interval, self.grid = model, interval, model.grid
+        self.tolerance, self.most = tolerance, most
+        self.fields, self.residual = Fields(model), Residual(model)
+        self._creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
+        self._weights = np.array([weight for weight, _ in self._creep.terms])
+        self._interval: float | None = None
+        R = model.modes
+        self._dR, self._dX = np.zeros((2, SECANTS, R), np.float32)
+        self._gram = np.zeros((SECANTS, SECANTS))
+        self.reset()
+
+    @classmethod
+    def open(cls, path: Path | str, interval: float | None = None) -> "ReducedStepper":
+        """That of the file at `path`. Raises InputError for another file."""
+        return cls(ReducedModel.load(path), interval)
+
+    def reset(self) -> None:
+        """Back to rest: no force in the past."""
+        self.residual.reset()
+        # rows: s_k of the creep filter, the last force's answer and the new one's
+        self._slow = np.zeros((len(self._creep.terms) + 2, self.model.modes))
+        self._correction = np.zeros(self.model.modes, np.float32)
+        self._count = 0  # of secants
+        self.a = np.zeros(self.model.modes, np.float32)
+        self.evaluations, self.unrest, self.carried = 0, 0.0, True
+
+    def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
+        """Displacement in mm, float32, dt seconds after the call before, under `force` in mN that
+        grew linearly since; see fem.online.stepper.Stepper."""
+        if dt is None:
+            dt = self.interval
+        if dt != self._interval or dt is None:
+            check_interval(None, dt)
+            self._set_interval(float(dt))  # type: ignore[arg-type]
+        layout, g = self.fields.encode(np.asarray(force))
+        slow = self._slow
+        slow[-1] = g
+        slow[:-2] = self._advance @ slow
+        slow[-2] = g
+        linear = g + (self._weights @ slow[:-2]).astype(np.float32)
+        self.residual.begin(g)
+        with np.errstate(all="ignore"):  # a guess may be anything; what is not finite is taken back
+            self.a = self._solve(linear + self._correction)
+        self.residual.accept(self.a)
+        self._correction = self.a - linear
+        self.carried = self.fields.carried
+        return self.fields.decode(self.a, layout)
+
+    def _set_interval(self, dt):
+        self.residual.set_interval(dt)
+        K = len(self._creep.terms)
+        self._advance = np.zeros((K, K + 2))
+        for k, (_, time) in enumerate(self._creep.terms):
+            a, old, new = exponential_weights(dt, time)
+            self._advance[k, k], self._advance[k, K:] = 1 - a, (a * old, a * new)
+        self._interval = dt
+
+    def _solve(self, a):
+        """The coordinates at which the frame is at rest, from a first guess; where that cannot be
+        reached in `most` evaluations, the best."""
+        residual, tried = self.residual, 0
+        best, kept, last, share = np.inf, None, None, 1.0
+        while tried < self.most:
+            tried += 1
+            r = residual(a)
+            square = float(r @ r)
+            if not square < WORSE * best:  # or NaN
+                self._count, share, last = 0, share / 2, None
+                a = kept[0] + share * kept[1] if kept else np.zeros_like(a)
+                continue
+            if last is not None:
+                self._remember(a - last[0], r - last[1])
+            if square < best:
+                best, kept, share = square, (a, r), 1.0
+            last, a = (a, r), self._next(a, r)
+            scale = float(a @ a)
+            if square <= self.tolerance**2 * scale + FLOOR**2:
+                break
+        self.evaluations = tried
+        if last is None:
+            a = np.zeros_like(a) if kept is None else kept[0]
+            residual(a)  # once more, so that the history is that of it
+        self.unrest = float(np.sqrt(min(best, square) / max(float(a @ a), FLOOR**2)))
+        return a
+
+    def _remember(self, da, dr):
+        """Keep a secant pair, in place of the oldest."""
+        slot = self._count % SECANTS
+        self._dR[slot] = dr
+        np.add(da, dr, out=self._dX[slot])
+        self._count += 1
+        kept = min(self._count, SECANTS)
+        self._gram[slot, :kept] = self._gram[:kept, slot] = self._dR[:kept] @ dr
+
+    def _next(self, a, r):
+        """Where the secants say that the residual is least."""
+        kept = min(self._count, SECANTS)
+        if not kept:
+            return a + r
+        gram = self._gram[:kept, :kept].copy()
+        diagonal = gram.ravel()[:: kept + 1]
+        diagonal += REGULAR * diagonal.max() + 1e-30
+        share = np.linalg.solve(gram, self._dR[:kept] @ r).astype(np.float32)
+        return a + r - share @ self._dX[:kept]
+
+    def state(self) -> State:
+        """All that the next answer depends on: histories, the filters, the last correction and the
+        secants."""
+        kept = min(self._count, SECANTS)
+        return self.residual.state() | {
+            "slow": self._slow[:-1].copy(),
+            "correction": self._correction.copy(),
+            "secants": np.stack([self._dR[:kept], self._dX[:kept]]),
+            "count": np.array(self._count),
+        }
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave. Raises InputError for the state of another stepper."""
+        wanted = self.state()
+        fits = state.keys() == wanted.keys() and all(
+            np.shape(state[name]) == values.shape
+            for name, values in wanted.items()
+            if name != "secants"
+        )
+        if not fits:
+            raise InputError(
+                "the state is of another stepper; restore what state() of the same stepper gave"
+            )
+        self.residual.restore(state)
+        self._slow[:-1] = state["slow"]
+        self._correction = np.array(state["correction"], np.float32)
+        self._count = int(state["count"])
+        kept = min(self._count, SECANTS)
+        self._dR[:kept], self._dX[:kept] = state["secants"]
+        dR = self._dR[:kept].astype(float)
+        self._gram[:kept, :kept] = dR @ dR.T

@@ -1,0 +1,169 @@
+"""The file of a reduced model: its arrays, and what they must fulfil. NumPy alone.
+
+An uncompressed .npz (a zip of .npy arrays, little-endian, C order), which C reads as well. What the
+arrays mean stands in fem.online.reduced.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fem.errors import InputError
+from fem.files import load_arrays, save_arrays
+from fem.material.base import Hyperelastic
+from fem.material.laws import KINDS
+from fem.online.grid import NodeGrid
+
+FORMAT = "unet-fem reduced 1"
+REMEDY = "make one with python -m fem.reduce data.h5"
+BLOCK = {"A": ("S", "n"), "M": ("R", "z"), "encoder": ("R", "f"), "decoder": ("d", "R")}
+BLOCK |= {"flexibility": ("R", "R")}  # axes of the arrays of a parity
+META = {"mesh": str, "material": str, "law": dict, "nodes": int, "interval": float}
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """The arrays of one parity, float32; h: left points, n: its modes that points see.
+
+    A (9 h, n) 1/mm; M (R, 9 h + n) mm and 1; encoder (R, 3 h_force) mm/mN; decoder (3 h_free, R);
+    flexibility (R, R) mm/mN.
+    """
+
+    A: np.ndarray
+    M: np.ndarray
+    encoder: np.ndarray
+    decoder: np.ndarray
+    flexibility: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel:
+    """A reduced model, see fem.online.reduced for its equations.
+
+    blocks: of the even and the odd modes, or of all where there is no mirror
+    force, free: (sides, h) numbers of the loadable and of the free nodes: left ones and, with a
+    mirror, their images; prony: (K, 2) g and tau in s; axis: the component that the mirror flips,
+    or None; grid: NodeGrid of the mesh, or None; meta: plain values, with `mesh` and `material`
+    digests, `law`, `nodes`, and `interval` in s, that of the frames it was fitted to; law: that of
+    the points
+
+    Raises InputError for arrays that do not fit each other or are not finite.
+    """
+
+    blocks: tuple[Block, ...]
+    force: np.ndarray
+    free: np.ndarray
+    prony: np.ndarray
+    axis: int | None
+    grid: NodeGrid | None
+    meta: dict[str, Any]
+    law: Hyperelastic = field(init=False)
+
+    def __post_init__(self) -> None:
+        sides = len(self.blocks)
+        if sides not in (1, 2) or (self.axis is None) != (sides == 1):
+            raise InputError(f"{sides} blocks and mirror axis {self.axis} do not fit; {REMEDY}")
+        for name, kind in META.items():
+            if not isinstance(self.meta.get(name), kind):
+                raise InputError(f"the model's meta has no {name} ({kind.__name__}); {REMEDY}")
+        sizes = {"f": 3 * self.force.shape[-1], "d": 3 * self.free.shape[-1]}
+        for b, block in enumerate(self.blocks):
+            local = {"n": block.A.shape[-1], "R": len(block.M)}
+            sizes.setdefault("S", len(block.A))
+            local["z"] = sizes["S"] + local["n"]
+            for name, axes in BLOCK.items():
+                shape = tuple((sizes | local)[axis] for axis in axes)
+                _check(f"{name}{b}", getattr(block, name), shape, "f")
+            if local["n"] > local["R"]:
+                raise InputError(f"A{b} sees {local['n']} modes of {local['R']}; {REMEDY}")
+        if sizes["S"] % 9:
+            raise InputError(f"A0 has {sizes['S']} rows, which are no 9 a point; {REMEDY}")
+        for name, rows in (("force", sides), ("free", sides)):
+            nodes = getattr(self, name)
+            _check(name, nodes, (rows, nodes.shape[-1]), "iu")
+            if nodes.size and not 0 <= nodes.min() <= nodes.max() < self.meta["nodes"]:
+                raise InputError(f"{name} names a node outside the mesh; {REMEDY}")
+        _check("prony", self.prony, (len(self.prony), 2), "f")
+        object.__setattr__(self, "law", self._law())
+
+    def _law(self):
+        given = dict(self.meta["law"])
+        kind = given.pop("kind", None)
+        if kind not in KINDS:
+            raise InputError(f"the model has a law '{kind}', not one of {', '.join(KINDS)}")
+        try:
+            return KINDS[kind](**given)
+        except TypeError as error:
+            raise InputError(f"the model's law is damaged ({error}); {REMEDY}") from None
+
+    @property
+    def modes(self) -> int:
+        """R, of all blocks."""
+        return sum(len(block.M) for block in self.blocks)
+
+    @property
+    def points(self) -> int:
+        """m, of all sides."""
+        return len(self.blocks) * (len(self.blocks[0].A) // 9)
+
+    def check(self, mesh: str, material: str | None = None) -> None:
+        """Raises InputError unless it was made for the mesh, and the material, with these
+        digests."""
+        for name, given in (("mesh", mesh), ("material", material)):
+            if given is not None and given != self.meta[name]:
+                raise InputError(
+                    f"the reduced model is of another {name} ({self.meta[name][:8]}, not"
+                    f" {given[:8]}); {REMEDY}"
+                )
+
+    def save(self, path: Path | str) -> None:
+        """Write it to `path` (.npz), at once or not at all."""
+        arrays: dict[str, Any] = {"force": self.force, "free": self.free, "prony": self.prony}
+        if self.grid is not None:
+            arrays |= {"grid_shape": np.array(self.grid.shape), "grid_index": self.grid.index}
+        for b, block in enumerate(self.blocks):
+            arrays |= {f"{name}{b}": getattr(block, name) for name in BLOCK}
+        meta = json.dumps(self.meta | {"axis": self.axis}, allow_nan=False).encode()
+        little = {
+            name: np.ascontiguousarray(a, a.dtype.newbyteorder("<")) for name, a in arrays.items()
+        }
+        text = np.frombuffer(meta, np.uint8)
+        save_arrays(path, format=FORMAT, meta=text, **little)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "ReducedModel":
+        """That of the file at `path`. Raises InputError for a file that is missing, damaged or
+        another's."""
+        if not Path(path).is_file():
+            raise InputError(f"no reduced model {path}; {REMEDY}")
+        arrays = load_arrays(path)
+        if str(arrays.pop("format", None)) != FORMAT:
+            raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
+        try:
+            meta = json.loads(arrays.pop("meta").tobytes().decode())
+            axis = meta.pop("axis")
+            count = 1 if axis is None else 2
+            blocks = tuple(Block(*(arrays[f"{name}{b}"] for name in BLOCK)) for b in range(count))
+            grid = None
+            if "grid_index" in arrays:
+                grid = NodeGrid(tuple(arrays["grid_shape"]), arrays["grid_index"])
+            kept = {name: arrays[name] for name in ("force", "free", "prony")}
+            return cls(blocks, **kept, axis=axis, grid=grid, meta=meta)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        except (KeyError, ValueError, AttributeError, TypeError, IndexError) as error:
+            raise InputError(f"{path} is damaged ({error!r}); {REMEDY}") from None
+
+
+def _check(name, values, shape, kinds):
+    """Raises InputError unless an array is of this shape and kind, and finite."""
+    if values.shape != shape or values.dtype.kind not in kinds:
+        raise InputError(
+            f"{name} is {values.dtype} of shape {values.shape} and the others need {shape};"
+            f" {REMEDY}"
+        )
+    if not np.isfinite(values).all():
+        raise InputError(f"{name} holds values that are not finite; {REMEDY}")

@@ -1,0 +1,68 @@
+"""Make a reduced model of a dataset: modes, points and a fit, in one file that steps in real time.
+
+    python -m fem.reduce data/tumour.h5 [--out data/tumour_reduced.npz] [--modes 320] [--inputs 160]
+        [--points 300] [--hard 0]
+
+`--hard N` learns from the first N interactions of the split "hard" too and judges by the rest.
+"""
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from fem.commands import command_line
+from fem.data.dataset import open_dataset
+from fem.errors import InputError
+from fem.reduced.build import Choice, default_path, reduce
+
+
+@command_line
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Reduce a dataset, as the words of a command line ask."""
+    options = _options(arguments)
+    choice = Choice(options.modes, options.inputs, options.points, options.hard, seed=options.seed)
+    dataset = open_dataset(options.data).for_learning()
+    out = options.out or default_path(dataset)
+    if out.suffix != ".npz":
+        raise InputError(f"--out {out} must end in .npz")
+    if out.is_file():
+        raise InputError(f"{out} exists already; delete it to make it again, or give another --out")
+
+    def progress(which: Iterable) -> Iterable:
+        return tqdm(which, "reading", unit=" interactions", disable=None)
+
+    model, verdicts = reduce(dataset, choice, print, progress)
+    model.save(out)
+    print(
+        f"wrote {out} ({out.stat().st_size / 1e6:.1f} MB): {model.modes} modes,"
+        f" {model.points} points\n"
+        "held out    error %   worst %   evaluations   CPU ms a frame p50   p99"
+    )
+    for name, one in verdicts.items():
+        print(
+            f"{name:<9} {100 * one.error:9.2f} {100 * one.worst:9.2f} {one.evaluations:13.1f}"
+            f" {one.p50:20.2f} {one.p99:5.2f}"
+        )
+    print(f'next: unet_fem.open_stepper("{out}").step(force, dt), force in mN, dt in s')
+
+
+def _options(arguments):
+    parser = argparse.ArgumentParser(
+        prog="python -m fem.reduce", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("data", help="dataset, such as data/tumour.h5")
+    parser.add_argument("--out", type=Path, help="file to write (default: <data>_reduced.npz)")
+    parser.add_argument("--modes", type=int, default=Choice.modes, help="modes of the answer")
+    parser.add_argument("--inputs", type=int, default=Choice.inputs, help="modes that points see")
+    parser.add_argument("--points", type=int, default=Choice.points, help="material points")
+    parser.add_argument(
+        "--hard", type=int, default=Choice.hard, help='interactions of "hard" to learn from too'
+    )
+    parser.add_argument("--seed", type=int, default=Choice.seed, help="of the draws")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    main()

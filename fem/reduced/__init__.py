@@ -1,0 +1,1 @@
+"""Reduced models from datasets: basis, cubature, fit; see docs/reduced.md."""
