@@ -8,6 +8,7 @@ was.
 """
 
 import argparse
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from fem.commands import command_line
 from fem.data.build import generate
 from fem.data.dataset import open_dataset
 from fem.data.scene import load_scene
+from fem.data.write import groups
 from fem.errors import InputError
 from fem.lazy import callable_module
 
@@ -34,9 +36,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rejected = generate(scene, out, options.workers)
     print(f"wrote {out} ({out.stat().st_size / 1e6:.0f} MB); rejected draws: {_counts(rejected)}")
     dataset = open_dataset(out)
-    for split, counts in dataset.rejected.items():
-        kept = (dataset.split == split).sum()
-        print(f"  {split}: {sum(counts.values())} for {kept} interactions ({_counts(counts)})")
+    kept = Counter(groups(scene))
+    for group, counts in dataset.rejected.items():
+        print(
+            f"  {group}: {sum(counts.values())} for {kept[group]} interactions ({_counts(counts)})"
+        )
     if len(dataset.confirmation):
         print(
             f"{len(dataset.confirmation)} interactions again at the true mass: displacement differs"

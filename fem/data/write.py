@@ -45,8 +45,8 @@ def write_dataset(
         _write_grid(file, embedding.grid_mesh if embedding else mesh)
         _write_mesh(file, mesh)
         columns = _columns(file, scene, mesh, file["mask"].shape)
-        order = [split for split, _ in scene.interactions.all()]
-        rejected: dict[str, Counter] = {split: Counter() for split in order}
+        order = groups(scene)
+        rejected: dict[str, Counter] = {group: Counter() for group in order}
         lost = size = 0.0  # mm2
         for i, result in enumerate(results):
             displacement = displacement_on_grid(mesh, embedding, result["displacement"])
@@ -71,6 +71,15 @@ def write_dataset(
         for name, unit in UNITS.items():
             if name in file:
                 file[name].attrs["unit"] = unit
+
+
+def groups(scene: Scene) -> list[str]:
+    """The name of what each interaction's refused draws are counted under, in the order of
+    scene.interactions.all(): its split, and "test, hard" for the hard ones of the test."""
+    return [
+        "test, hard" if split == "test" and scene.interactions.is_hard(split, number) else split
+        for split, number in scene.interactions.all()
+    ]
 
 
 def _describe(file, scene):

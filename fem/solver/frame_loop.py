@@ -21,7 +21,8 @@ from fem.solver.leapfrog import Leapfrog
 from fem.solver.leapfrog import State as SolverState
 from fem.solver.step_control import Pace, StepControl
 
-# share of the critical step at rest: under the hardest pushes of the tumour's data it falls by 23 %
+# share of the critical step at rest: that falls by up to 6 % under the hardest pushes of the
+# tumour's data, and by 10 % under four times their largest usual force
 SAFETY = 0.75
 UPDATE = 11  # steps of a loop between updates of the viscous stress, or more where they are short
 

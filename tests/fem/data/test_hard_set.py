@@ -16,6 +16,8 @@ from fem.contact.draw import draw_contacts
 from fem.contact.surface import surface_of
 from fem.contact.table import contact_table
 from fem.data.dataset import open_dataset
+from fem.data.scene import load_scene
+from fem.data.write import groups
 from fem.errors import InputError
 from fem.generate import main
 
@@ -78,14 +80,19 @@ def test_hard_contacts_come_from_a_stream_of_their_own_and_reach_beyond_training
 
 
 def test_refused_draws_are_counted_by_split_and_printed(made):
+    """Those of the test's hard numbers are counted apart from its others."""
     dataset, printed = made
     with h5py.File(dataset.path) as file:
         total = json.loads(file.attrs["rejected"])
-    assert list(dataset.rejected) == ["train", "validation", "test", "hard"]
+    assert list(dataset.rejected) == ["train", "validation", "test, hard", "hard"]
     for reason, count in total.items():
         assert count == sum(counts.get(reason, 0) for counts in dataset.rejected.values())
     count = sum(dataset.rejected["hard"].values())
     assert count > 0 and f"  hard: {count} for 2 interactions (crushed cell" in printed
+    count = sum(dataset.rejected["test, hard"].values())
+    assert f"  test, hard: {count} for 1 interactions" in printed
+    scene = load_scene("configs/tumour_tiny.toml")
+    assert groups(scene)[6:] == ["validation"] * 2 + ["test"] * 2 + ["test, hard"]
 
 
 def test_a_file_without_the_split_says_how_to_get_it(tiny_dataset, tmp_path):

@@ -3,6 +3,7 @@ holds."""
 
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -72,6 +73,14 @@ def test_a_force_that_crushes_the_tissue_ends_the_truth_before_its_last_frame(da
     )
     assert 1 <= len(found["truth"]) < len(dataset.time) and found["truth:stopped"] != ""
     assert all(np.isfinite(field).all() for name, field in found.items() if ":" not in name)
+
+
+def test_a_truth_that_no_dataset_would_take_is_none(dataset):
+    """The mass is scaled so high that inertia carries the load, and no cell is crushed."""
+    heavy = replace(dataset.scene, solver=replace(dataset.scene.solver, mass_scaling=1024.0))
+    found = arrays(simulate_offline, replace(dataset, scene=heavy), 1, 0.5)
+    assert len(found["truth"]) < len(dataset.time)
+    assert found["truth:stopped"] == "disequilibrium"
 
 
 def test_frames_end_where_a_run_stops_or_is_not_finite():

@@ -1,5 +1,7 @@
 """Loads that no training set holds: the FEM's answer, and models beside it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,14 @@ def test_a_crushed_cell_counts_as_a_stop(dataset, loads):
     with pytest.raises(SolverStopped) as stop:
         fem_response(dataset, lambda t: 8 * loads[MIDDLE](t))
     assert stop.value.reason in (Stop.CRUSHED_CELL, Stop.INVERTED_CELL, Stop.DIVERGED)
+
+
+def test_an_answer_that_no_dataset_would_take_counts_as_a_stop(dataset, loads):
+    """The mass is scaled so high that inertia carries the load, and no cell is crushed."""
+    heavy = replace(dataset.scene, solver=replace(dataset.scene.solver, mass_scaling=1024.0))
+    with pytest.raises(SolverStopped, match="lower solver.mass_scaling") as stop:
+        fem_response(replace(dataset, scene=heavy), loads[MIDDLE])
+    assert stop.value.reason is Stop.DISEQUILIBRIUM
 
 
 def test_a_model_that_answers_nothing_is_wholly_wrong(dataset):

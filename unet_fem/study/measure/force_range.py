@@ -2,8 +2,8 @@
 competitor stay close to the FEM?
 
 The contacts of test interactions push with their forces times each factor. The dataset's own solver
-gives the truth, as far as it goes; a competitor holds where its relative L2 error is within
-TOLERANCE and its volume within the paper's band.
+gives the truth, as far as its run is fit for a dataset; a competitor holds where its relative L2
+error is within TOLERANCE and its volume within the paper's band.
 """
 
 from dataclasses import dataclass, field
