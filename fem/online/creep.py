@@ -1,10 +1,12 @@
 """Creep of linear viscoelastic tissue, and forces as the tissue remembers them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from fem.errors import InputError
+from fem.online.stepper import State
 
 
 def exponential_weights(elapsed: float, tau: float) -> tuple[float, float, float]:
@@ -39,8 +41,17 @@ class Creep:
         y' = S y + v s with v_k = sqrt(g_k / tau_k) and the symmetric S = v v^T - diag(1 / tau):
         each eigenvector of S is one retardation. Terms of equal times come out as one.
 
-        Raises InputError where sum g is 1 or more: such tissue flows without end.
+        A weight of zero leaves its term out. Raises InputError for a negative weight, a time that
+        is not positive, values that are not finite, and where sum g is 1 or more: such tissue flows
+        without end.
         """
+        for g, tau in prony:
+            if not (0 <= g < np.inf and 0 < tau < np.inf):
+                raise InputError(
+                    f"the Prony series has (g, tau) = ({g}, {tau}); give g of at least 0 and"
+                    " tau > 0, both finite"
+                )
+        prony = tuple((g, tau) for g, tau in prony if g > 0)
         if not prony:
             return cls(())
         g, tau = np.array(prony, float).T
@@ -66,17 +77,93 @@ class Creep:
         return total
 
 
-def remembered_force(creep: Creep, force: np.ndarray, interval: float) -> np.ndarray:
-    """The force that would give an elastic tissue of the same stiffness the same displacement, as
-    far as it is linear: f~(t) = integral of D(t - s) df(s), at the frames of `force`.
+class CreepFilter:
+    """f~(t) = integral of D(t - s) df(s), a sampled force as creeping tissue remembers it: under
+    f~ an elastic tissue of the same stiffness moves alike, as far as it is linear.
 
-    force: (..., frames, d), `interval` s apart and linear between, none before the first frame.
+    The force runs linearly from sample to sample, from none at the reset, and f~ is then exact for
+    any intervals, which may change. With D = 1 + sum j_k (1 - exp(-t / l_k)) it is
+    f~ = f + sum j_k r_k, r_k' = (f - r_k) / l_k, and the r_k are all that is kept besides the last
+    force; without terms nothing is.
     """
-    result = np.array(force, float)
-    for weight, time in creep.terms:
-        a, old, new = exponential_weights(interval, time)
-        slow = np.zeros_like(result[..., 0, :])
-        for frame in range(1, force.shape[-2]):
-            slow = slow + a * (old * force[..., frame - 1, :] + new * force[..., frame, :] - slow)
-            result[..., frame, :] += weight * slow
-    return result
+
+    def __init__(self, creep: Creep, shape: tuple[int, ...]) -> None:
+        """shape: of the force, such as (N, 3), or (p,) of some of its components."""
+        self.creep, self.shape = creep, tuple(shape)
+        self._elapsed = 0.0  # s, the interval that the weights are for
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to rest: no force in the past."""
+        # rows: r_k, the last force, this force; two of them, the new state is written to the other
+        rows = len(self.creep.terms) + 2
+        self._now, self._other = np.zeros((2, rows, math.prod(self.shape)))
+
+    def step(self, force: np.ndarray, dt: float) -> np.ndarray:
+        """f~, float64, of the shape and in the unit of `force`, which has come dt seconds after the
+        last one.
+
+        Raises InputError for another shape, values that are not finite and a dt that is not
+        positive; the state is then as it was.
+        """
+        force = np.asarray(force)
+        if force.shape != self.shape or force.dtype.kind not in "fiu":
+            raise InputError(
+                f"the force is {force.dtype} of shape {force.shape}; give real numbers of shape"
+                f" {self.shape}"
+            )
+        if dt != self._elapsed:
+            self._weigh(dt)
+        now, new, last = self._now, self._other, len(self.creep.terms)
+        now[-1] = force.ravel()
+        if not math.isfinite(np.vdot(now[-1], now[-1])):  # its square is: cheaper than to ask each
+            raise InputError("the force is not finite, or too large; give finite values")
+        np.matmul(self._weights, now, out=new[:-1])
+        remembered = new[last].reshape(self.shape).copy()
+        new[last] = now[-1]
+        self._now, self._other = new, now
+        return remembered
+
+    def _weigh(self, dt: float) -> None:
+        """Set the matrix (terms + 1, terms + 2) from the rows of the state to the new r_k and
+        f~."""
+        if not 0 < dt < np.inf:
+            raise InputError(f"dt = {dt} s must be positive and finite")
+        count = len(self.creep.terms)
+        weights = np.zeros((count + 1, count + 2))
+        weights[-1, -1] = 1.0
+        for k, (weight, time) in enumerate(self.creep.terms):
+            a, old, new = exponential_weights(dt, time)
+            weights[k, [k, -2, -1]] = 1 - a, a * old, a * new
+            weights[-1] += weight * weights[k]
+        self._weights, self._elapsed = weights, dt
+
+    def state(self) -> State:
+        """{"remembered": (terms + 1, *shape)}: the r_k and the last force; empty without terms."""
+        if not self.creep.terms:
+            return {}
+        return {"remembered": self._now[:-1].reshape(-1, *self.shape).copy()}
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave. Raises InputError for the state of another filter."""
+        if not self.creep.terms:
+            return
+        found, own = state.get("remembered"), (len(self.creep.terms) + 1, *self.shape)
+        if found is None or np.shape(found) != own or not np.isfinite(found).all():
+            what = "nothing" if found is None else f"shape {np.shape(found)}"
+            raise InputError(
+                f"the state holds {what} as remembered and this filter keeps finite values {own};"
+                " restore what state() of the same stepper gave"
+            )
+        self._now[:-1] = np.reshape(found, (own[0], -1))
+
+
+def remembered_force(creep: Creep, force: np.ndarray, interval: float) -> np.ndarray:
+    """What a CreepFilter gives at the frames of `force`.
+
+    force: (..., frames, d), `interval` s apart and linear between, from none one interval before
+    the first frame.
+    """
+    frames = np.moveaxis(np.asarray(force), -2, 0)
+    memory = CreepFilter(creep, frames.shape[1:])
+    return np.stack([memory.step(frame, interval) for frame in frames], axis=-2)
