@@ -14,10 +14,6 @@ TUMOUR_EDGE = (
     0.5087e-3  # m: 1314 cubes of this edge make 173.0 mm3, so that 7 % is the paper's 12.1 mm3
 )
 TUMOUR_SHAPE = (16, 16, 6)  # cells of the lattice: five full layers, and the bump on them
-# The end of the third axis at which the tumour's grid has a layer without nodes, for the mesh has 7
-# and the grid 8: "below", so that the bump's top is the last layer, or "above". The code that the
-# paper's authors published has a grid of 7 layers, and its U-Net pads at the high end of each axis.
-VOID = "below"
 # Cells of the tumour itself, layer by layer from below: rows 4 to 10 along y, columns 0 to 15 along
 # x. All others of the five full layers are tissue around it. These are facts read from the mesh
 # file that the authors published beside the paper.
@@ -124,12 +120,13 @@ def tumour(edge: float = TUMOUR_EDGE) -> HexMesh:
     i, j, k = places = np.rint(mesh.points / edge).astype(int).T
     walls = (k <= full) & ((i == 0) | (i == nx) | (j == 0) | (j == ny))
     shape = (nx + 1, ny + 1, full + 3)
-    void = np.array([0, 0, VOID == "below"])[:, None]
+    # the grid's last layer is void, as in the U-Net of the paper's authors, which pads at the high
+    # end of each axis; see docs/meshes.md
     return replace(
         mesh,
         cells=mesh.cells[order],
         fixed=walls | (k == 0),
-        grid=NodeGrid(shape, np.ravel_multi_index(tuple(places + void), shape)),
+        grid=NodeGrid(shape, np.ravel_multi_index(tuple(places), shape)),
         node_sets={**mesh.node_sets, "walls": walls},
         cell_sets={"tissue": ~lump[keep][order], "tumour": lump[keep][order]},
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fem.errors import InputError
-from fem.mesh import element, hexmesh, shapes
+from fem.mesh import element, hexmesh
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import box, from_voxels, refined, tumour
 from fem.online.grid import NodeGrid
@@ -111,16 +111,15 @@ def test_grid_round_trip(make):
     assert np.count_nonzero(grid) == values.size
 
 
-@pytest.mark.parametrize("void, first", [("below", 1), ("above", 0)])
-def test_grid_places_nodes_by_position(void, first, monkeypatch):
+def test_grid_places_nodes_by_position():
     """Grid entry [i, j, k] belongs to the node at (i, j, k) edges, z up; the tumour's seven layers
-    leave the grid's first one void, or its last."""
-    monkeypatch.setattr(shapes, "VOID", void)
-    for mesh, low in ((tumour(edge=1.0), first), (box((4, 3, 2), 1.0), 0)):
+    leave the grid's last one void."""
+    for mesh in (tumour(edge=1.0), box((4, 3, 2), 1.0)):
         i, j, k = np.round(np.moveaxis(mesh.grid.to_grid(mesh.points), -1, 0)).astype(int)
         mask = mesh.grid.mask
-        places = np.stack([i[mask], j[mask], k[mask] + low], axis=1)
+        places = np.stack([i[mask], j[mask], k[mask]], axis=1)
         assert np.array_equal(np.argwhere(mask), places)
+        assert mask[..., -1].any() == (mesh.n_nodes != 1782)
 
 
 def test_a_grid_of_another_shape_is_refused():
@@ -304,8 +303,7 @@ def test_refined_cubes_are_the_cubes_of_half_the_edge():
     voxels = from_voxels(keep.repeat(2, 0).repeat(2, 1).repeat(2, 2), edge / 2, "none")
     order = np.argsort(fine.grid.index)
     assert np.array_equal(fine.grid.index[order], voxels.grid.index) and fine.congruent
-    shift = [0, 0, edge * (shapes.VOID == "below")]
-    assert np.allclose(fine.points[order] + shift, voxels.points, rtol=0, atol=1e-15)
+    assert np.allclose(fine.points[order], voxels.points, rtol=0, atol=1e-15)
     i, j, k = np.rint(fine.points / edge * 2).astype(int).T
     walls = (k <= 10) & ((i == 0) | (i == 32) | (j == 0) | (j == 32))
     assert np.array_equal(fine.fixed, walls | (k == 0))
