@@ -53,6 +53,7 @@ COMMANDS = {
         (["configs/study.toml", "--quick"], "not both"),
     ],
     "tools/stability.py": [(["--only", "nothing"], "nothing")],
+    "tools/void_layer.py": [(["none.h5"], "none.h5"), (["none.h5", "--seeds", "0"], "--seeds 0")],
 }
 
 DRIVER = """

@@ -87,7 +87,7 @@ class Gate:
         self._largest = dict.fromkeys(("residual", "load", "motion", "energy", "strain"), 0.0)
         self.corner_J = 1.0
         self._load_before = np.inf
-        self._next = self._next_shape = 0
+        self._next, self._next_shape = 0, SHAPE_EVERY
         self._said: set[Stop] = set()
 
     def __call__(self, step: Step) -> None:
@@ -120,12 +120,12 @@ class Gate:
         )
 
     def _count_forces(self, step):
-        free = ~step.body.held
-        residual = np.linalg.norm((step.load - step.internal)[:, free])
-        self._raise(residual=residual, load=np.linalg.norm(step.load[:, free]))
+        free = np.flatnonzero(~step.body.held)
+        residual = np.linalg.norm((step.load - step.internal).take(free, axis=1))
+        self._raise(residual=residual, load=np.linalg.norm(step.load.take(free, axis=1)))
 
     def _count_shape(self, step):
-        self._next_shape = step.steps + min(SHAPE_EVERY, max(1, step.steps))
+        self._next_shape = step.steps + SHAPE_EVERY
         corners = step.body.corner_J(step.u)
         self.corner_J = float(np.minimum(self.corner_J, corners.min()))  # a NaN stays
         check_corners(corners, step.time)
