@@ -22,6 +22,7 @@ class Stop(StrEnum):
     DISEQUILIBRIUM = "disequilibrium"
     HOURGLASS_MOTION = "hourglass motion"
     HOURGLASS_ENERGY = "hourglass energy"
+    NOT_IN_EQUILIBRIUM = "not in equilibrium"
     NOT_AT_REST = "not at rest"
     NOT_FINITE = "not finite"
 
@@ -46,6 +47,7 @@ _REMEDIES = {
     " solver.element = 'full' or 'mean_dilatation'",
     Stop.HOURGLASS_ENERGY: "refine the mesh, lower solver.hourglass_stiffness or take"
     " solver.element = 'full' or 'mean_dilatation'",
+    Stop.NOT_IN_EQUILIBRIUM: "lower the load, let it rise more slowly or raise solver.tolerance",
     Stop.NOT_AT_REST: "fix the mesh, lower the load or raise max_steps",
     Stop.NOT_FINITE: "lower the load",
 }

@@ -54,6 +54,7 @@ STEPPERS = {
         "unet-fem reduced",
     ),
     "fem": Kind("FEM", "fem.solver.frame_loop:FrameLoop"),
+    "quasistatic": Kind("quasi-static FEM", "fem.solver.quasistatic_loop:QuasiStaticLoop"),
 }
 
 

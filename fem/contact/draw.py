@@ -1,6 +1,6 @@
 """Ranges that the contacts of a scene are drawn from, and the seeded draws."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,8 @@ class ContactRange:
 
     radius m, force N (peak), travel m (length of the path), ramp s, hold s, onset s, rate Hz; cone:
     largest angle in degrees between the force and the inward normal; low: share of the peak left by
-    a release or an oscillation.
+    a release or an oscillation; pull: share of the contacts that pull outwards, as an instrument
+    that has gripped the tissue does.
     """
 
     count: int
@@ -31,6 +32,7 @@ class ContactRange:
     onset: tuple[float, float] = (0.0, 1.0)
     low: tuple[float, float] = (0.0, 0.6)
     rate: tuple[float, float] = (0.3, 1.0)
+    pull: float = 0.0
 
     def __post_init__(self) -> None:
         normalised(self)
@@ -38,6 +40,8 @@ class ContactRange:
             raise InputError(f"contact.count = {self.count} must be at least 1")
         if not 0 <= self.cone < 90:
             raise InputError(f"contact.cone = {self.cone} degrees must be from 0 to below 90")
+        if not 0 <= self.pull <= 1:
+            raise InputError(f"contact.pull = {self.pull} must be a share of the contacts, 0 to 1")
         for name in ("radius", "force", "travel", "ramp", "hold", "onset", "low", "rate"):
             low, high = getattr(self, name)
             if not (0 <= low <= high < np.inf):
@@ -86,7 +90,7 @@ def _draw_contact(surface, ranges, duration, rng, factor):
     peak = rng.uniform(*ranges.force) if factor is None else rng.uniform(*factor) * ranges.force[1]
     onset = rng.uniform(*ranges.onset) if factor is None else 0.0
     hold = rng.uniform(*ranges.hold) if factor is None else ranges.ramp[1]
-    return Contact(
+    contact = Contact(
         start=surface.points[start],
         end=surface.points[end],
         direction=tilt(-surface.normal[start], np.radians(ranges.cone), rng),
@@ -100,6 +104,9 @@ def _draw_contact(surface, ranges, duration, rng, factor):
         rate=rng.uniform(*ranges.rate),
         duration=duration,
     )
+    if ranges.pull and rng.uniform() < ranges.pull:  # the last draw: without it all are as ever
+        return replace(contact, direction=-contact.direction)
+    return contact
 
 
 def tilt(axis: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:

@@ -27,7 +27,7 @@ def sampled(scene: Scene) -> list[tuple[str, int]]:
     """The (split, number) of the interactions to confirm: drawn by the scene's seed from the hard
     ones, the others of the test and the other splits in turn; none where the mass is the true."""
     interactions, health = scene.interactions, scene.health
-    if scene.solver.mass_scaling == 1:
+    if scene.solver == _true_mass(scene).solver:
         return []
     rng = np.random.default_rng([interactions.seed, len("confirm")])
     groups: dict[str, list[tuple[str, int]]] = {
@@ -41,6 +41,12 @@ def sampled(scene: Scene) -> list[tuple[str, int]]:
     return in_turn[: health.confirm]
 
 
+def _true_mass(scene):
+    """The scene with the explicit solver and the true mass."""
+    solver = replace(scene.solver, kind="explicit", tolerance=None, mass_scaling=1.0)
+    return replace(scene, solver=solver)
+
+
 def confirmed(
     scene: Scene,
     mesh: HexMesh,
@@ -51,11 +57,11 @@ def confirmed(
 ) -> Confirmation:
     """The Confirmation of an interaction by its contacts and its displacement (frames, N, 3) mm;
     with an infinite error where the solver stops at the true mass."""
-    true = replace(scene, solver=replace(scene.solver, mass_scaling=1.0))
     try:
-        exact = simulate(true, mesh, contacts, surface_of(mesh))["displacement"].astype(float)
+        result = simulate(_true_mass(scene), mesh, contacts, surface_of(mesh))
     except SolverStopped:
         return Confirmation(split, number, np.inf)
+    exact = result["displacement"].astype(float)
     distance, size = (float(np.linalg.norm(field)) for field in (displacement - exact, exact))
     return Confirmation(split, number, distance / max(size, 1e-300))
 
@@ -66,12 +72,18 @@ def check_confirmed(scene: Scene, found: list[Confirmation]) -> None:
     if not worst or worst.error <= scene.health.mass_error:
         return
     name, scaling = f"{worst.split} interaction {worst.number}", scene.solver.mass_scaling
+    quasistatic = scene.solver.kind == "quasistatic"
     if np.isinf(worst.error):
+        how = "without inertia" if quasistatic else f"at solver.mass_scaling = {scaling:g}"
+        remedy = "let the load rise more slowly" if quasistatic else "lower it"
         raise InputError(
-            f"{name} comes to an end at solver.mass_scaling = {scaling:g} alone and stops at the"
-            " true mass; lower it, lower contact.force or raise health.corner_J"
+            f"{name} comes to an end {how} alone and stops at the true mass; {remedy}, lower"
+            " contact.force or raise health.corner_J"
         )
+    remedy = f"lower solver.mass_scaling = {scaling:g}"
+    if quasistatic:
+        remedy = "take solver.kind = 'explicit', or let the load rise more slowly"
     raise InputError(
         f"{name} is {worst.error:.2%} away from the same at the true mass (health.mass_error ="
-        f" {scene.health.mass_error:.2%} is allowed); lower solver.mass_scaling = {scaling:g}"
+        f" {scene.health.mass_error:.2%} is allowed); {remedy}"
     )

@@ -24,6 +24,7 @@ from fem.solver.energy import (
 from fem.solver.explicit import Solver
 from fem.solver.gate import Gate, Limits, Signs, doubts
 from fem.solver.load_ramp import NodalLoad
+from fem.solver.quasistatic import QuasiStatic
 from fem.solver.record import Observer
 
 
@@ -42,7 +43,10 @@ def stacked(frames: Iterable[Frame]) -> Frame:
 
 
 def simulate_frames(
-    solver: Solver, load: NodalLoad, times: np.ndarray, observers: Sequence[Observer] = ()
+    solver: Solver | QuasiStatic,
+    load: NodalLoad,
+    times: np.ndarray,
+    observers: Sequence[Observer] = (),
 ) -> Iterator[Frame]:
     """The Frame at each of `times` (s, ascending, from the solver's own time on), one by one, under
     `load(t)` (3, N) in N. Raises SolverStopped at the frame that the solver does not reach."""

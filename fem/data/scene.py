@@ -18,13 +18,27 @@ from fem.mesh.hexmesh import HexMesh
 from fem.mesh.read import check_held
 from fem.solver.explicit import Solver
 from fem.solver.gate import LIMITS
+from fem.solver.quasistatic import TOLERANCE, QuasiStatic
 
 SPLITS = ("train", "validation", "test", "hard")  # their places seed the draws
 
 
+SOLVERS: dict[str, type[Solver] | type[QuasiStatic]] = {
+    "explicit": Solver,
+    "quasistatic": QuasiStatic,
+}
+# largest imbalance of energy: work is summed over the steps, and those of the one are milliseconds
+IMBALANCE = {"explicit": 0.01, "quasistatic": 0.05}
+EXPLICIT_ONLY = ("damping", "mass_scaling", "safety")
+
+
 @dataclass(frozen=True)
 class SolverChoice:
-    """See fem.solver.explicit.Solver for the meaning and units of each."""
+    """kind: "explicit" for fem.solver.explicit.Solver, "quasistatic" for
+    fem.solver.quasistatic.QuasiStatic: see there for the meaning and units of the others.
+
+    damping, mass_scaling and safety belong to the explicit solver, tolerance to the quasi-static.
+    """
 
     element: Literal["full", "mean_dilatation", "reduced"] = "full"
     precision: Literal["float32", "float64"] = "float32"
@@ -32,9 +46,12 @@ class SolverChoice:
     damping: float = 0.0
     mass_scaling: float = 1.0
     safety: float = 0.85
+    kind: Literal["explicit", "quasistatic"] = "explicit"
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
         config.normalised(self)
+        self._check_kind()
         if self.element != "reduced" and self.hourglass_stiffness is not None:
             raise InputError(
                 f"solver.hourglass_stiffness = {self.hourglass_stiffness} has no meaning for"
@@ -42,6 +59,29 @@ class SolverChoice:
             )
         if self.element == "reduced" and self.hourglass_stiffness is None:
             object.__setattr__(self, "hourglass_stiffness", 0.2)  # the solver's default
+
+    def _check_kind(self):
+        if self.kind == "explicit":
+            if self.tolerance is not None:
+                raise InputError(
+                    f"solver.tolerance = {self.tolerance} has no meaning for solver.kind ="
+                    " 'explicit'; leave it out, or take kind = 'quasistatic'"
+                )
+            return
+        for name in EXPLICIT_ONLY:
+            value = getattr(self, name)
+            if value != getattr(type(self), name):
+                raise InputError(
+                    f"solver.{name} = {value} has no meaning for solver.kind = 'quasistatic',"
+                    " which knows no mass and no stable step; leave it out"
+                )
+        if self.tolerance is None:
+            object.__setattr__(self, "tolerance", TOLERANCE)
+
+    def settings(self) -> dict[str, Any]:
+        """What the solver of this kind is built with, by name."""
+        unused = ("kind",) if self.kind == "explicit" else ("kind", *EXPLICIT_ONLY)
+        return {name: value for name, value in config.to_dict(self).items() if name not in unused}
 
 
 @dataclass(frozen=True)
@@ -145,11 +185,12 @@ class Health:
     """What a sequence must fulfil to enter a dataset: energy imbalance, smallest J, kinetic over
     strain energy, and the fem.solver.gate.Signs.
 
+    imbalance: left out it is IMBALANCE of the scene's solver
     confirm: how many interactions are simulated again at the true mass where it is scaled;
     mass_error: largest relative L2 distance of their displacement from it
     """
 
-    imbalance: float = 0.01
+    imbalance: float | None = None
     min_J: float = 0.15
     kinetic_share: float = 0.05
     corner_J: float = LIMITS.corner_J
@@ -185,6 +226,9 @@ class Scene:
     def __post_init__(self) -> None:
         config.normalised(self)
         object.__setattr__(self, "groups", check_groups(self.material, self.groups))
+        if self.health.imbalance is None:
+            health = replace(self.health, imbalance=IMBALANCE[self.solver.kind])
+            object.__setattr__(self, "health", health)
 
     @staticmethod
     def arranged(tree: dict[str, Any]) -> dict[str, Any]:
@@ -208,6 +252,11 @@ class Scene:
     def _tree(self):
         tree = config.to_dict(self)
         groups = tree.pop("groups")
+        if not self.contact.pull:  # what older scenes do not have does not change their digest
+            del tree["contact"]["pull"]
+        tree["solver"] = self.solver.settings()
+        if self.solver.kind != "explicit":
+            tree["solver"] = {"kind": self.solver.kind} | tree["solver"]
         return tree | {"material": to_table(self.material) | groups}
 
     def with_mesh(self, mesh: HexMesh, grid: tuple[int, int, int] | None = None) -> "Scene":
@@ -230,9 +279,10 @@ class Scene:
         """
         return by_cells(self.material, hex_mesh, self.groups)
 
-    def build_solver(self, hex_mesh: HexMesh) -> Solver:
+    def build_solver(self, hex_mesh: HexMesh) -> Solver | QuasiStatic:
         """The solver of `hex_mesh` with this scene's material and settings."""
-        return Solver(hex_mesh, self.material_on(hex_mesh), **config.to_dict(self.solver))
+        make = SOLVERS[self.solver.kind]
+        return make(hex_mesh, self.material_on(hex_mesh), **self.solver.settings())
 
 
 def load_scene(path: str | Path) -> Scene:

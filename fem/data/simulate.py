@@ -8,11 +8,11 @@ import numpy as np
 from fem.contact.push import Load, Push
 from fem.contact.surface import surface_of
 from fem.data.interaction import Frame, simulate_frames, stacked
+from fem.data.scene import SOLVERS
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
 from fem.solver.energy import EnergyLedger
-from fem.solver.explicit import Solver
 from fem.solver.load_ramp import NodalLoad
 
 
@@ -21,13 +21,15 @@ def simulate(
     material: Hyperelastic,
     push: Push | NodalLoad,
     times: Sequence[float] | np.ndarray,
+    kind: str = "explicit",
     **settings: Any,
 ) -> Frame:
     """The tissue at `times` (s, ascending from 0 on) under a push, from rest: a Frame with the
     force (times, N, 3) mN, the displacement (times, N, 3) mm and the volume (times,) mm3.
 
     push: a fem.contact.push.Push, or any nodal force: called with t in s it gives (3, N) in N;
-    settings: see fem.solver.explicit.Solver
+    kind: "explicit" or "quasistatic"; settings: see fem.solver.explicit.Solver or
+    fem.solver.quasistatic.QuasiStatic
 
         push = Push(at="top", force=1e-3, radius=2e-3)
         frames = simulate(tumour(), NeoHooke(400.0, 0.42, 1000.0), push, [0.0, 0.5, 1.0])
@@ -39,5 +41,7 @@ def simulate(
     if times.ndim != 1 or not times.size or times[0] < 0 or not (np.diff(times) > 0).all():
         raise InputError(f"times = {times} s must ascend, from 0 or later on")
     load = Load(surface_of(mesh), [push]) if isinstance(push, Push) else push
-    solver = Solver(mesh, material, **settings)
+    if kind not in SOLVERS:
+        raise InputError(f"kind '{kind}' is not one of {', '.join(SOLVERS)}")
+    solver = SOLVERS[kind](mesh, material, **settings)
     return stacked(simulate_frames(solver, load, times, [EnergyLedger()]))

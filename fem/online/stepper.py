@@ -52,3 +52,13 @@ def check_interval(interval: float | None, dt: float | None) -> None:
             f"dt = {dt:g} s, but this stepper is made for {interval:g} s between calls;"
             " leave dt out"
         )
+
+
+def check_nodal(force: np.ndarray, n_nodes: int) -> np.ndarray:
+    """The force if it is finite and one a node, (N, 3) mN. Raises InputError otherwise."""
+    if force.shape != (n_nodes, 3) or force.dtype.kind not in "fiu" or not np.isfinite(force).all():
+        raise InputError(
+            f"the force is {force.dtype} of shape {force.shape}; give finite mN of shape"
+            f" {(n_nodes, 3)}, one force a node"
+        )
+    return force

@@ -26,6 +26,18 @@ class CellsResult(NamedTuple):
     viscous_work: float
 
 
+class Expected(NamedTuple):
+    """What the past leaves of the stress at the end of a step.
+
+    relaxed: (6, Q, E), in units of the share `left` of the elastic stress that a step leaves
+    least, most: bounds of the hourglass control in the same units
+    """
+
+    relaxed: np.ndarray
+    least: float
+    most: float
+
+
 class Cells:
     """The cells `cells` (a slice) of a mesh; see InternalForce for the options.
 
@@ -61,6 +73,7 @@ class Cells:
         if law.prony:
             shape = self.element.q, self.element.n
             self.history = StressHistory(law.prony, shape, self.law.weights, dtype, scratch)
+        self._expected: Expected | None = None
 
     def add_force(
         self, u: np.ndarray, out: np.ndarray, coefficients: Coefficients | None, check: bool
@@ -75,10 +88,13 @@ class Cells:
         low = float(strain.J.flat[worst])
         stiffening = self.law.stiffening(strain) if check else 0.0
         updates = self.history is not None and coefficients is not None
-        cof = self.law.cofactor(strain) if updates else None
+        follows = self._expected is not None and isinstance(self.element, ReducedElement)
+        cof = self.law.cofactor(strain) if updates or follows else None
         P = self.law.stress(strain)
         if updates:
             work = self._update_history(strain, cof, P, coefficients)
+        elif follows:
+            self._relax_hourglass(strain, cof, P)
         if self.history is not None:
             self.history.subtract_viscous(strain.H, P)
         self.element.to_nodes(P, out)
@@ -90,12 +106,38 @@ class Cells:
         The viscous stress stood still since the last update, so its work is its product with the
         change of strain.
         """
+        if self._expected:
+            self._expected = None  # the viscous work is the solver's to count
+            stress, relaxed = self.history.update(cof, P, strain.J, coefficients)
+            self.element.relax(stress, relaxed, self.history.least)
+            return 0.0
         before = self._pair(strain.H)
         stress, relaxed = self.history.update(cof, P, strain.J, coefficients)
         self.element.relax(stress, relaxed, self.history.least)
         work = before - self.history.pairing
         self.history.pairing = self._pair(strain.H)
         return work
+
+    def expect(
+        self, coefficients: Coefficients, left: float, bends: list[np.ndarray] | None
+    ) -> None:
+        """Let the forces be those at the end of a step, in units of `left`, until the next update;
+        see StressHistory.expect. bends: displacements (3, N) whose stresses those are."""
+        if self.history is None:
+            return
+        stresses = [self._second_stress(u) for u in bends] if bends else None
+        relaxed = self.history.expect(coefficients, left, stresses)
+        self._expected = Expected(relaxed, self.history.least / left, 1 / left)
+
+    def _second_stress(self, u):
+        """S_e (6, Q, E) at the displacement u (3, N)."""
+        strain = self.law.strain(u)
+        cof = self.law.cofactor(strain)
+        return self.history.second_stress(cof, self.law.stress(strain), strain.J)
+
+    def _relax_hourglass(self, strain, cof, P):
+        """Let the hourglass control be of the end of a step."""
+        self.element.relax(self.history.second_stress(cof, P, strain.J), *self._expected)
 
     def _pair(self, H):
         return self.history.pair(H) + self.element.viscous_energy()

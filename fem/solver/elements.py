@@ -91,7 +91,9 @@ class FullElement:
         volume = self.volume * np.ones((1, self.n))
         return np.einsum("qe,qe->e", volume, value) / self.cell_volume
 
-    def relax(self, stress: np.ndarray, relaxed: np.ndarray, least: float) -> None:
+    def relax(
+        self, stress: np.ndarray, relaxed: np.ndarray, least: float, most: float = 1.0
+    ) -> None:
         """Nothing relaxes here but the stress itself."""
 
     def reset(self) -> None:
@@ -225,12 +227,14 @@ class ReducedElement:
         """The value (E,) of the one point, from (1, E)."""
         return value[0]
 
-    def relax(self, stress: np.ndarray, relaxed: np.ndarray, least: float) -> None:
+    def relax(
+        self, stress: np.ndarray, relaxed: np.ndarray, least: float, most: float = 1.0
+    ) -> None:
         """The stiffness keeps the share of the cell's stress (6, 1, E) that is not `relaxed`."""
         elastic = np.linalg.norm(stress, axis=(0, 1))
         left = np.linalg.norm(stress - relaxed, axis=(0, 1))
         ones = np.ones_like(left)
-        share = np.clip(np.divide(left, elastic, out=ones, where=elastic > 0), least, 1)
+        share = np.clip(np.divide(left, elastic, out=ones, where=elastic > 0), least, most)
         self.share = share.astype(self.stiffness.dtype)
 
     def reset(self) -> None:

@@ -13,7 +13,7 @@ from fem.mesh.hexmesh import HexMesh
 from fem.solver.gate import Gate
 from fem.solver.internal_force import InternalForce
 from fem.solver.leapfrog import Leapfrog
-from fem.solver.load_ramp import LoadRamp, NodalLoad
+from fem.solver.load_ramp import LoadRamp, NodalLoad, checked_duration, first_load
 from fem.solver.record import Observer, Step
 from fem.solver.step_control import Pace, StepControl
 
@@ -143,7 +143,7 @@ class Solver:
         and a load of another shape, all before anything has changed.
         """
         remaining = _checked_steps(duration, steps)
-        load_now = self._first(load)
+        load_now = first_load(load, self.time, self.state.u.shape)
         gate = self.gate if remaining is None else None
         control, pace = self.control, self.pace
         end = self.time + duration
@@ -165,15 +165,6 @@ class Solver:
                 raise SolverStopped.because(stop, self._told(stop))
             control.refresh(pace, self.state)
         self.state.time = end
-
-    def _first(self, load):
-        """The load at the present time. Raises InputError for another shape than (3, N)."""
-        found, shape = np.asarray(load(self.time), float), self.state.u.shape
-        if found.shape != shape:
-            raise InputError(
-                f"the load has shape {found.shape}; give nodal forces of shape {shape}, in N"
-            )
-        return found
 
     def _block(self, dt, count, left, load_now, load_next, observers, gate):
         """Up to `count` of the `left` steps, fewer if a cell is compressed fast or the run must
@@ -259,8 +250,7 @@ _PARTS = "state", "pace", "ramp"
 
 def _checked_steps(duration, steps):
     """`steps` as an int or None. Raises InputError for a number or a duration without meaning."""
-    if not 0 <= duration < np.inf:
-        raise InputError(f"duration = {duration} s must be finite and not negative")
+    checked_duration(duration)
     if steps is None:
         return None
     try:

@@ -15,7 +15,7 @@ from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import from_voxels
 from fem.online.grid import MM, MN
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, check_interval, check_nodal
 from fem.solver.explicit import Solver
 from fem.solver.leapfrog import Leapfrog
 from fem.solver.leapfrog import State as SolverState
@@ -127,7 +127,7 @@ class FrameLoop:
         check_interval(self.interval, dt)
         force, grid = np.asarray(force), self.grid
         if grid is None or grid.is_nodal(force):
-            return self._step(self._checked(force))
+            return self._step(check_nodal(force, self.mesh.n_nodes))
         return grid.to_grid(self._step(grid.from_grid(force)))
 
     def _step(self, force):
@@ -155,16 +155,6 @@ class FrameLoop:
             )
         self.solver.restore({name: array for name, array in state.items() if name != "load"})
         self.load = np.array(state["load"])
-
-    def _checked(self, force):
-        """The force if it is finite and one a node."""
-        shape = self.mesh.n_nodes, 3
-        if force.shape != shape or force.dtype.kind not in "fiu" or not np.isfinite(force).all():
-            raise InputError(
-                f"the force is {force.dtype} of shape {force.shape}; give finite mN of shape"
-                f" {shape}, one force a node"
-            )
-        return force
 
     def _to_mesh(self, force):
         nodal = force.T * (1 / MN)  # (3, N) N

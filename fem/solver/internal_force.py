@@ -1,5 +1,6 @@
 """Nodal internal forces of a hexahedral mesh, in vectorised NumPy."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,27 @@ class InternalForce:
         second-order accurate.
         """
         self._relax = float(elapsed), float(ahead)
+
+    def expect(self, elapsed: float, bends: Sequence[np.ndarray] | None = None) -> float:
+        """Let the calls from here on give the internal force at the end of a step of `elapsed`
+        seconds over which the elastic stress runs linearly, in units of the share c of the elastic
+        stress that such a step leaves: c, which is 1 for elastic tissue.
+
+        It holds for any displacement, so that the one in equilibrium can be looked for, until
+        `relax` and a call take the step.
+
+        bends: for each Prony term the displacement (3, N) m whose elastic stress has relaxed at the
+        end besides, where the stress bends within the step
+        """
+        bends = None if bends is None else [self._cast(u) for u in bends]
+        coefficients = history_coefficients(self.material.prony, elapsed)
+        left = 1.0 - sum(
+            g * a * new
+            for (g, _), (a, _, new, _) in zip(self.material.prony, coefficients, strict=True)
+        )
+        for chunk in self._chunks:
+            chunk.expect(coefficients, left, bends)
+        return left
 
     def forget(self) -> None:
         """Drop the stress history: from here on the tissue relaxes as if it had been at rest until

@@ -6,18 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.errors import InputError, Stop
-from fem.material.base import Hyperelastic, poisson_ratio, shear_modulus
-from fem.mesh import element as hexahedron
+from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.solver.body import SMALLEST_J, DeformableBody
 from fem.solver.critical_step import lumped_mass
-from fem.solver.internal_force import InternalForce
-from fem.solver.record import Energies, Hourglass
+from fem.solver.record import Energies
 
-# above it the full element is more than 8 % too stiff under a footprint of 4 cells' radius, see
-# docs/stability.md
-LOCKING_NU = 0.45
-SMALLEST_J = 0.05  # below it a cell has lost its meaning, and p = K (J - 1) - mu / J runs away
-PASS = 512  # cells whose corners are looked at together
 NEGLIGIBLE = 1e-30  # m and m/s: subnormal numbers would slow a step sixteen-fold
 
 
@@ -43,12 +37,10 @@ class State:
     relaxed_at: float = 0.0
 
 
-class Leapfrog:
+class Leapfrog(DeformableBody):
     """Mesh, material and masses, and the step that they take: see fem.solver.explicit.Solver for
     the settings.
 
-    force: the InternalForce; elastic_force: the same in float64 without relaxation, for energies
-    and stiffness
     mass, inverse_mass: of the nodes, (N,) kg and 1/kg; the inverse is zero where a node is held
     internal: internal force (3, N) N of the last step
     """
@@ -64,31 +56,13 @@ class Leapfrog:
         mass_scaling: float | np.ndarray = 1.0,
         allow_locking: bool = False,
     ) -> None:
-        _check(mesh, damping, hourglass_stiffness, mass_scaling)
-        nu = np.max(poisson_ratio(material))
-        if element == "full" and nu > LOCKING_NU and not allow_locking:
-            raise InputError(
-                f"solver.element = 'full' locks at material.nu = {nu}"
-                f" (above {LOCKING_NU}); use element = 'mean_dilatation' or 'reduced'"
-            )
-        self.mesh, self.material, self.damping = mesh, material, float(damping)
-        self.force = InternalForce(mesh, material, element, precision, hourglass_stiffness)
-        self.elastic_force = self.force
-        if precision != "float64" or material.prony:
-            self.elastic_force = InternalForce(
-                mesh, material.elastic(), element, "float64", hourglass_stiffness
-            )
+        _check(mesh, damping, mass_scaling)
+        super().__init__(mesh, material, element, precision, hourglass_stiffness, allow_locking)
+        self.damping = float(damping)
         self.mass = lumped_mass(mesh, material.density * np.asarray(mass_scaling, float))
-        self.mass_scaled, self.held = bool(np.max(mass_scaling) > 1), mesh.fixed
+        self.mass_scaled = bool(np.max(mass_scaling) > 1)
         self.inverse_mass = np.where(mesh.fixed, 0.0, 1.0 / self.mass)
-        self.negligible_energy = 1e-6 * np.mean(shear_modulus(material)) * mesh.volume()
         self.internal = np.zeros((3, mesh.n_nodes))
-        # corners are looked at often: contiguous, and in passes that need no fresh memory
-        self._points = np.ascontiguousarray(mesh.points.T)
-        self._corners = [
-            (index, hexahedron.corner_jacobians(self._points[:, index]))
-            for index in np.split(mesh.cells.T, range(PASS, mesh.n_cells, PASS), axis=1)
-        ]
         # a step writes to the buffer that its state does not hold
         self._u, self._v = ([np.zeros((3, mesh.n_nodes)) for _ in range(2)] for _ in "uv")
 
@@ -170,32 +144,15 @@ class Leapfrog:
             self.kinetic_energy(velocity), strain, hourglass, self.force.viscous_energy(u)
         )
 
-    def hourglass(self, u: np.ndarray) -> Hourglass:
-        """The Hourglass of displacement u (3, N) m."""
-        return Hourglass(*self.force.hourglass(u))
-
-    def corner_J(self, u: np.ndarray) -> np.ndarray:
-        """(E,) smallest volume ratio at a corner of each cell, of displacement u (3, N) m."""
-        points = self._points + u
-        return np.concatenate(
-            [
-                (hexahedron.corner_jacobians(points.take(index, axis=1, mode="clip")) / rest).min(
-                    axis=0
-                )
-                for index, rest in self._corners
-            ]
-        )
-
 
 def kinetic_energy(mass: np.ndarray, v: np.ndarray) -> float:
     """J, of nodal masses (N,) kg at the velocities v (3, N) m/s."""
     return 0.5 * float(np.einsum("n,cn,cn->", mass, v, v))
 
 
-def _check(mesh, damping, hourglass_stiffness, mass_scaling):
-    for name, value in (("damping", damping), ("hourglass_stiffness", hourglass_stiffness)):
-        if not 0 <= value < np.inf:
-            raise InputError(f"solver.{name} = {value} must not be negative")
+def _check(mesh, damping, mass_scaling):
+    if not 0 <= damping < np.inf:
+        raise InputError(f"solver.damping = {damping} must not be negative")
     if np.shape(mass_scaling) not in ((), (mesh.n_cells,)):
         raise InputError(
             f"solver.mass_scaling has shape {np.shape(mass_scaling)};"

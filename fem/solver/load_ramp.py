@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fem.errors import InputError
+
 # share of the largest load so far by which its ramp between two samples may miss it
 LOAD_BEND = 0.005
 
@@ -38,3 +40,19 @@ class LoadRamp:
                 self.rate, self.steps = (then - now) / (count * dt), count
                 return count, then
             count //= 2
+
+
+def checked_duration(duration: float) -> None:
+    """Raises InputError for a duration in s that is negative or not finite."""
+    if not 0 <= duration < np.inf:
+        raise InputError(f"duration = {duration} s must be finite and not negative")
+
+
+def first_load(load: NodalLoad, time: float, shape: tuple[int, ...]) -> np.ndarray:
+    """The load at `time`. Raises InputError for another shape."""
+    found = np.asarray(load(time), float)
+    if found.shape != shape:
+        raise InputError(
+            f"the load has shape {found.shape}; give nodal forces of shape {shape}, in N"
+        )
+    return found

@@ -58,26 +58,60 @@ class StressHistory:
         self.relaxed = np.zeros((len(self.prony), 6, *self.shape))
         self.old_stress = np.zeros((6, *self.shape))
         self.V = np.zeros((3, 3, *self.shape), self.dtype)
+        self.bends: list[Any] = []
         self.pairing = 0.0  # J, the product of V and the strain at its last update
+
+    def expect(
+        self, coefficients: Coefficients, left: float, bends: list[np.ndarray] | None = None
+    ) -> np.ndarray:
+        """Let V be what the past leaves of the stress after a step, Q / c with c = `left`: six
+        components.
+
+        The stress at the end of the step is c (S_e - V), for S_e that runs linearly over the step
+        but for the `bends` b_k, what else of it has relaxed at the end:
+
+            c = 1 - sum g_k a_k new_k,   Q = sum g_k ((1 - a_k) q_k + a_k old_k S_old + b_k)
+
+        bends: one for each term, (6, Q, E), or None; the next `update` takes them too
+        """
+        total: Any = 0.0
+        none: list[Any] = [total] * len(self.prony)
+        self.bends = bends or none
+        for (g, _), (a, old, _, _), q, bend in zip(
+            self.prony, coefficients, self.relaxed, self.bends, strict=True
+        ):
+            total = total + g / left * ((1 - a) * q + a * old * self.old_stress + bend)
+        self._set_viscous(total)
+        return total
+
+    def second_stress(self, cof: np.ndarray, P: np.ndarray, J: np.ndarray) -> np.ndarray:
+        """S = F^-1 P, six components (6, Q, E)."""
+        stress: np.ndarray = np.empty((6, *self.shape))
+        for k, (i, j) in enumerate(VOIGT):
+            np.einsum("cqe,cqe->qe", cof[:, i], P[:, j], out=stress[k], casting="same_kind")
+        stress /= J
+        return stress
 
     def update(
         self, cof: np.ndarray, P: np.ndarray, J: np.ndarray, coefficients: Coefficients
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance every relaxed stress to S = F^-1 P, and refresh V: (S, V) with six components."""
-        stress: np.ndarray = np.empty((6, *self.shape))
-        for k, (i, j) in enumerate(VOIGT):
-            np.einsum("cqe,cqe->qe", cof[:, i], P[:, j], out=stress[k], casting="same_kind")
-        stress /= J
+        stress = self.second_stress(cof, P, J)
         total: Any = 0.0
-        for (g, _), (a, old, new, forward), q in zip(
-            self.prony, coefficients, self.relaxed, strict=True
+        for k, ((g, _), (a, old, new, forward), q) in enumerate(
+            zip(self.prony, coefficients, self.relaxed, strict=True)
         ):
             q += a * (old * self.old_stress + new * stress - q)
+            if self.bends:
+                q += self.bends[k]
             total = total + g * (q + forward * (stress - q))
-        self.old_stress = stress
+        self.old_stress, self.bends = stress, []
+        self._set_viscous(total)
+        return stress, total
+
+    def _set_viscous(self, total):
         for k, (i, j) in enumerate(VOIGT):
             self.V[i, j] = self.V[j, i] = total[k]
-        return stress, total
 
     def subtract_viscous(self, H: np.ndarray, P: np.ndarray) -> None:
         """P -= F V."""

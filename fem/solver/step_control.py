@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.errors import InputError, SolverStopped, Stop
+from fem.solver.body import SMALLEST_J
 from fem.solver.critical_step import critical_time_step, thickness
 from fem.solver.gate import check_corners
-from fem.solver.leapfrog import SMALLEST_J, Leapfrog, State
+from fem.solver.leapfrog import Leapfrog, State
 
 STRIDE = 64  # most steps between updates of the viscous stress
 # share of the shortest relaxation time for which the viscous stress may stand still

@@ -302,3 +302,23 @@ def test_impossible_ranges_are_refused(change, named):
     """A range without meaning is an InputError that names its key and value."""
     with pytest.raises(InputError, match=named):
         dataclasses.replace(RANGES, **change)
+
+
+def test_a_share_of_the_contacts_pulls(surface):
+    """Outwards, within the same cone; with none, every draw is as it was before there were any."""
+    pulling = replace(RANGES, pull=0.3)
+    found = [contact for draw in many_draws(surface, pulling, n=100) for contact in draw]
+    normal = np.array([nearest_normal(surface, contact.start) for contact in found])
+    along = np.einsum("nc,nc->n", [contact.direction for contact in found], normal)
+    assert (np.abs(along) >= np.cos(np.radians(30)) - 1e-12).all()
+    assert 0.2 < (along > 0).mean() < 0.4
+    for ours, theirs in zip(many_draws(surface, pulling), many_draws(surface), strict=True):
+        first, same = ours[0], theirs[0]
+        assert np.array_equal(np.abs(first.direction), np.abs(same.direction))
+        assert (first.peak, first.onset, first.rate) == (same.peak, same.onset, same.rate)
+    with pytest.raises(InputError, match="contact.pull = 1.5 must be a share"):
+        replace(RANGES, pull=1.5)
+
+
+def nearest_normal(surface, point):
+    return surface.normal[np.square(surface.points - point).sum(axis=1).argmin()]

@@ -15,10 +15,10 @@ from fem.material.neo_hooke import NeoHooke
 from fem.measure import limits, limits_report
 from fem.measure.sweeps import Sweep, sweeps
 from fem.mesh.shapes import box
+from fem.solver.body import LOCKING_NU
 from fem.solver.energy import EnergyLedger
 from fem.solver.explicit import Solver
 from fem.solver.internal_force import InternalForce
-from fem.solver.leapfrog import LOCKING_NU
 from fem.solver.rest import equilibrium
 
 ROOT = Path(__file__).parents[3]

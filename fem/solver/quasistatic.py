@@ -1,0 +1,295 @@
+"""Quasi-static motion of a hexahedral mesh under nodal loads: equilibrium step by step, implicit in
+time, without inertia."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from fem.errors import InputError, SolverStopped, Stop
+from fem.material.base import Hyperelastic, shear_modulus
+from fem.mesh.hexmesh import HexMesh
+from fem.solver.anderson import Anderson
+from fem.solver.balance import Balance, by_chords, by_newton
+from fem.solver.body import DeformableBody
+from fem.solver.gate import Gate
+from fem.solver.load_ramp import NodalLoad, checked_duration, first_load
+from fem.solver.load_steps import LoadSteps
+from fem.solver.record import Energies, Observer, Step
+from fem.solver.stiffness import Factors, Stiffness, at_rest
+
+TOLERANCE = 1e-3
+FINEST = {"float32": 1e-5, "float64": 1e-9}  # tolerances that rounding leaves room for
+# share of the largest load so far by which a residual is measured at least, for a load that goes
+FADED = 0.03
+FAINT = 1e-6  # the same of mu h^2 with the edge h of a cell, for a load that has yet to come
+SMALLEST_PART = 1 / 64  # of a load that is raised in parts
+
+
+class QuasiStatic(DeformableBody):
+    """One quasi-static simulation: the tissue is in equilibrium with its load at the end of every
+    step, and over each its elastic stress runs linearly in time.
+
+    mesh, material, element, precision, hourglass_stiffness, allow_locking: see
+    fem.solver.body.DeformableBody
+    tolerance: largest residual over load, as norms over the free nodes
+
+    `u` is the displacement (3, N) in m at `time` (s), after `steps` steps and `evaluations` of the
+    internal force. `gate` looks on as in fem.solver.explicit.Solver; `snapshot` and `restore` keep
+    a run and go on from it. A run that cannot go on raises SolverStopped, whose `reason` is the
+    fem.errors.Stop NOT_IN_EQUILIBRIUM or what the observers give; `u` and `time` are then those of
+    the last equilibrium.
+
+    Inertia is left out: docs/fem.md has the error of faster and faster pushes.
+    """
+
+    damping, mass_scaled = 0.0, False
+
+    def __init__(
+        self,
+        mesh: HexMesh,
+        material: Hyperelastic,
+        element: str = "full",
+        precision: str = "float64",
+        hourglass_stiffness: float = 0.2,
+        tolerance: float = TOLERANCE,
+        allow_locking: bool = False,
+    ) -> None:
+        super().__init__(mesh, material, element, precision, hourglass_stiffness, allow_locking)
+        if not FINEST[precision] <= tolerance <= 0.1:
+            raise InputError(
+                f"solver.tolerance = {tolerance} must be from {FINEST[precision]:g} to 0.1 in"
+                f" {precision}; {TOLERANCE:g} is usual"
+            )
+        self.tolerance = float(tolerance)
+        self._kind = element, hourglass_stiffness
+        self.equations, self._rest = at_rest(mesh, material.elastic(), *self._kind)
+        self.factors = self._rest
+        self.gate: Gate | None = Gate()
+        self.stiffened_at = np.zeros(self.equations.size)  # m, what `factors` are of
+        self.anderson = Anderson(self.equations.size)
+        self.load_steps = LoadSteps(material.prony, self.equations.shape)
+        self.u, self.load, self.internal = np.zeros((3, *self.equations.shape))
+        self.time, self.steps, self.evaluations = 0.0, 0, 0
+        self.largest_load, self.min_J = 0.0, 1.0  # N, norm over the free nodes; of the last state
+        self.viscous_work = 0.0  # J, of the steps at which observers looked
+        self._faint = FAINT * np.mean(shear_modulus(material))
+        self._faint *= (mesh.volume() / mesh.n_cells) ** (2 / 3)
+        self._velocity = np.zeros_like(self.u)  # m/s, over the last step
+        # of the present state, where observers have asked for them
+        self._energies: Energies | None = None
+        self._viscous: np.ndarray | None = None
+
+    @cached_property
+    def stiffness(self) -> Stiffness:
+        """The consistent tangent, built where it is needed."""
+        return Stiffness(self.mesh, self.material, *self._kind, self.equations)
+
+    def advance(self, duration: float, load: NodalLoad, observers: Sequence[Observer] = ()) -> None:
+        """Go on for `duration` seconds under the nodal force `load(t)` (3, N) in N.
+
+        It takes one step, or as many as it needs for the remembered load to run linearly over each,
+        see fem.solver.load_steps. A load that jumps at the start comes in a step of no length to
+        speak of.
+
+        observers: each is called with the fem.solver.record.Step of the start of every step, and
+        with one of no length at the end of the last.
+
+        Raises InputError for a duration that is negative or not finite and for a load of another
+        shape, before anything has changed, and SolverStopped where no equilibrium is found.
+        """
+        checked_duration(duration)
+        first = first_load(load, self.time, self.u.shape)
+        end = self.time + duration
+        if not duration:
+            return
+        jumps = self._norm(first - self.load) > self.tolerance * self._scale(first)
+        for step in self.load_steps.plan(load, self.time, end, first, jumps):
+            self._step(step, observers)
+        looking: list[Observer] = [*observers, *([self.gate] if self.gate else [])]
+        if looking:
+            closing = self._record(0.0, np.zeros_like(self.u), True)
+            for observer in looking:
+                observer(closing)
+
+    def _step(self, step, observers):
+        """Take a LoadStep."""
+        time, load, _ = step
+        dt = time - self.time
+        self.largest_load = max(self.largest_load, self._norm(load))
+        u = self._equilibrium(step)
+        velocity = (u - self.u) / dt
+        if observers:
+            opening = self._record(dt, velocity, False)
+            for observer in observers:
+                observer(opening)
+        before = self._viscous_force() if observers else None
+        self.force.relax(dt)
+        self.internal = self.force(u)
+        self.min_J, self.evaluations = self.force.min_J, self.evaluations + 1
+        old, self.u, self.load = self.u, u, load
+        self.time, self.steps, self._velocity = time, self.steps + 1, velocity
+        self._energies = self._viscous = None
+        if before is not None:
+            mean = (before + self._viscous_force()) / 2
+            self.viscous_work += float(np.vdot(mean, self.u - old))
+
+    def _viscous_force(self):
+        """The part of the internal force that relaxation makes, (3, N) N; None without it."""
+        if self._viscous is None and self.material.prony:
+            self._viscous = self.internal - self.elastic_force(self.u)
+        return self._viscous
+
+    def _equilibrium(self, step):
+        """The displacement (3, N) in equilibrium at the end of a LoadStep. Raises SolverStopped."""
+        time, load, bends = step
+        if bends is not None:
+            bends = [self._linear_answer(bend) for bend in bends]
+        left = self.force.expect(time - self.time, bends)
+        tolerance = self.tolerance * self._scale(load)
+        start = self.equations.vector(self.u)
+        balance = Balance(self.force, self.equations, load / left, tolerance / left)
+        self.anderson.begin()
+        x, error = by_chords(balance, start, self.factors, self.anderson)
+        if error > 1 and self._stiffen(x):
+            x, error = by_chords(balance, x, self.factors, self.anderson)
+        if error > 1:
+            self.anderson.clear()
+            self.stiffness.follow(self.force, time - self.time, bends)
+            x, error = by_newton(balance, x, self.stiffness)
+        if error > 1:
+            x, error = self._in_parts(balance, start, self.load / left)
+        self.evaluations += balance.evaluations
+        if error > 1:
+            self._stop(error, time)
+        return self.equations.field(x)
+
+    def _linear_answer(self, load):
+        """The displacement (3, N) m of the elastic tissue under a small load (3, N) N."""
+        return self.equations.field(self._rest.solve(self.equations.vector(load)))
+
+    def _stiffen(self, x):
+        """Take the stiffness of the elastic tissue at the displacements x from here on; whether it
+        is regular. The chords serve as well without what has relaxed, and a snapshot needs no more
+        than x."""
+        self.stiffness.force.forget()
+        try:
+            self.factors = Factors(self.stiffness.matrix(self.equations.field(x)))
+        except RuntimeError:
+            return False
+        self.stiffened_at = x.copy()
+        self.anderson.clear()
+        return True
+
+    def _in_parts(self, balance, x, old):
+        """(x, error) by Newton's method, while the load climbs from the `old`."""
+        whole, error = balance.load, np.inf
+        reached, part = 0.0, 0.5
+        while part >= SMALLEST_PART:
+            goal = min(1.0, reached + part)
+            balance.load = old + goal * (whole - old)
+            found, error = by_newton(balance, x, self.stiffness)
+            if error > 1:
+                part /= 2
+                continue
+            x, reached, part = found, goal, 2 * part
+            if reached == 1:
+                break
+        return x, error
+
+    def _stop(self, error, time):
+        raise SolverStopped.because(
+            Stop.NOT_IN_EQUILIBRIUM,
+            f"the residual is {error * self.tolerance:.2g} of the load at {time:.4g} s, and"
+            f" {self.tolerance:g} was asked for",
+        )
+
+    def _norm(self, force):
+        return float(np.linalg.norm(self.equations.vector(force)))
+
+    def _scale(self, load):
+        """What a residual is measured by, N."""
+        return max(self._norm(load), FADED * self.largest_load, self._faint)
+
+    def _record(self, dt, velocity, last):
+        """The Step of dt seconds from the present state, at which `velocity` begins."""
+        return Step(
+            self.time,
+            dt,
+            self.steps,
+            self.u,
+            self._velocity,
+            velocity,
+            self.load,
+            self.internal,
+            self.min_J,
+            last or not self.steps,
+            last,
+            self,
+        )
+
+    def kinetic_energy(self, velocity: np.ndarray) -> float:
+        """None: there is no inertia."""
+        return 0.0
+
+    def energies(self, u: np.ndarray, velocity: np.ndarray) -> Energies:
+        """The Energies of the present displacement."""
+        if self._energies is None:
+            strain, hourglass = self.elastic_force.energies(u)
+            self._energies = Energies(0.0, strain, hourglass, self.viscous_work)
+        return self._energies
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """A copy of all that the run depends on from here, as arrays by name."""
+        return (
+            {name: np.array(getattr(self, name)) for name in _KEPT}
+            | {f"force.{name}": array for name, array in self.force.state().items()}
+            | {f"anderson.{name}": array for name, array in self.anderson.state().items()}
+            | {f"load.{name}": array for name, array in self.load_steps.state().items()}
+        )
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
+        """Go on from what `snapshot` gave. Raises InputError for that of another solver."""
+        here = self.snapshot()
+        if {name: np.shape(array) for name, array in snapshot.items()} != {
+            name: array.shape for name, array in here.items()
+        }:
+            raise InputError(
+                "the snapshot is of another solver; restore one of the same mesh and material"
+            )
+        stiffened_at = snapshot["stiffened_at"]
+        if not stiffened_at.any():
+            self.factors = self._rest
+        elif not np.array_equal(stiffened_at, self.stiffened_at):
+            self._stiffen(stiffened_at)
+        for name in _KEPT:
+            value = np.array(snapshot[name])
+            setattr(self, name, value if value.ndim else value.item())
+        self._energies = self._viscous = None
+        for part, owner in (
+            ("force.", self.force),
+            ("anderson.", self.anderson),
+            ("load.", self.load_steps),
+        ):
+            owner.restore(
+                {
+                    name.removeprefix(part): array
+                    for name, array in snapshot.items()
+                    if name.startswith(part)
+                }
+            )
+
+
+_KEPT = (
+    "u",
+    "load",
+    "internal",
+    "time",
+    "steps",
+    "evaluations",
+    "largest_load",
+    "min_J",
+    "viscous_work",
+    "stiffened_at",
+    "_velocity",
+)
