@@ -3,7 +3,6 @@ there."""
 
 import numpy as np
 
-from fem.errors import InputError
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.residual import Residual
@@ -36,7 +35,8 @@ class ErrorIndicator:
         """e in mm, an L2 norm over the free nodes, of a displacement in mm under a force in mN, dt
         seconds after the call before; both (N, 3) or (nx, ny, nz, 3).
 
-        Raises InputError for other shapes, values that are not finite, and a dt that is no interval.
+        Raises InputError for other shapes, values that are not finite and intervals that are no
+        positive number.
         """
         if dt != self._interval:
             check_interval(None, dt)

@@ -58,7 +58,9 @@ def test_coordinates_are_kept_and_opened_again(block, tissue, tmp_path):
     again = open_snapshots(tmp_path / "s.h5")
     assert again.which == snapshots.which and again.interval == 0.25
     for i in range(4):
-        for part, Q, y in zip(body.free.fold(fields[i]), again.bases, again.coordinates(i)):
+        for part, Q, y in zip(
+            body.free.fold(fields[i]), again.bases, again.coordinates(i), strict=True
+        ):
             assert np.linalg.norm(y @ Q.T - part) < 3e-4 * np.linalg.norm(part)
 
 
