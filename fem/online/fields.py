@@ -12,7 +12,8 @@ class Fields:
     """The encoder and the decoder of a model, see fem.online.reduced.
 
     Forces and displacements come node by node, (N, 3), or on the node grid, (nx, ny, nz, 3). After
-    `encode`, `carried` tells whether all of the force stood at nodes that contacts push on.
+    `encode`, `carried` tells whether all of the force stood at nodes that contacts push on, and
+    `folded` is what stood there, (3 h_force,) of each parity.
     """
 
     def __init__(self, model: ReducedModel) -> None:
@@ -71,6 +72,7 @@ class Fields:
             there += float(right @ (right * self._apart))
             right *= self._force_sign
             folded = [left + right, left - right]
+        self.folded = folded
         self.carried = total - there <= ELSEWHERE * total
         if not self.carried:
             self._encode_anywhere(flat, layout)
