@@ -187,6 +187,7 @@ class ReducedStepper:
             **self._memory.state(),
             "correction": self._correction.copy(),
             "secants": np.stack([self._dR[:kept], self._dX[:kept]]),
+            "gram": self._gram[:kept, :kept].copy(),
             "count": np.array(self._count),
         }
 
@@ -196,7 +197,7 @@ class ReducedStepper:
         fits = state.keys() == wanted.keys() and all(
             np.shape(state[name]) == values.shape
             for name, values in wanted.items()
-            if name != "secants"
+            if name not in ("secants", "gram")
         )
         if not fits:
             raise InputError(
@@ -208,5 +209,4 @@ class ReducedStepper:
         self._count = int(state["count"])
         kept = min(self._count, SECANTS)
         self._dR[:kept], self._dX[:kept] = state["secants"]
-        dR = self._dR[:kept].astype(float)
-        self._gram[:kept, :kept] = dR @ dR.T
+        self._gram[:kept, :kept] = state["gram"]
