@@ -12,7 +12,8 @@ class Fields:
     """The encoder and the decoder of a model, see fem.online.reduced.
 
     Forces and displacements come node by node, (N, 3), or on the node grid, (nx, ny, nz, 3). After
-    `encode`, `carried` tells whether all of the force stood at nodes that contacts push on.
+    `encode`, `carried` tells whether all of the force stood at nodes that contacts push on, and
+    `folded` is what stood there, (3 h_force,) of each parity.
     """
 
     def __init__(self, model: ReducedModel) -> None:
@@ -35,7 +36,8 @@ class Fields:
         if sides == 2:
             # nodes on the plane of symmetry are on both sides
             self._apart = np.tile(model.force[0] != model.force[1], 3).astype(np.float32)
-            self._half = np.tile(np.where(model.free[0] == model.free[1], 0.5, 1.0), 3)
+            half = np.where(model.free[0] == model.free[1], 0.5, 1.0)
+            self._half = np.tile(half, 3).astype(np.float32)
         self.carried = True
 
     def _layout(self, index, size, place):
@@ -58,13 +60,7 @@ class Fields:
     def encode(self, force: np.ndarray) -> tuple[tuple[int, ...], np.ndarray]:
         """(shape of the field, g (R,) mm) of a force in mN. Raises InputError for another shape and
         for values that are not finite."""
-        layout = self._layouts.get(force.shape)
-        if layout is None or force.dtype.kind not in "fiu":
-            raise InputError(
-                f"the force is {force.dtype} of shape {force.shape}; give real numbers of shape "
-                + " or ".join(map(str, self._layouts))
-            )
-        flat = np.ascontiguousarray(force, np.float32).ravel()
+        flat, layout = self._flat(force, "force")
         left = flat.take(layout[0][0])
         there, total = float(left @ left), float(flat @ flat)
         if not total < np.inf:
@@ -76,6 +72,7 @@ class Fields:
             there += float(right @ (right * self._apart))
             right *= self._force_sign
             folded = [left + right, left - right]
+        self.folded = folded
         self.carried = total - there <= ELSEWHERE * total
         if not self.carried:
             self._encode_anywhere(flat, layout)
@@ -84,16 +81,31 @@ class Fields:
                 np.dot(block.encoder, f, out=self._g[part])
         return force.shape, self._g
 
+    def _flat(self, field, name):
+        """(a field as (3 n,) float32, its layout)."""
+        layout = self._layouts.get(field.shape)
+        if layout is None or field.dtype.kind not in "fiu":
+            raise InputError(
+                f"the {name} is {field.dtype} of shape {field.shape}; give real numbers of shape "
+                + " or ".join(map(str, self._layouts))
+            )
+        return np.ascontiguousarray(field, np.float32).ravel(), layout
+
     def _encode_anywhere(self, flat, layout):
         """g of a force at any of the free nodes; what stands at held ones moves nothing."""
         work = self._project(flat, layout)
         for block, part in zip(self.model.blocks, self.parts, strict=True):
             np.dot(block.flexibility, work[part], out=self._g[part])
 
-    def coordinates(self, field: np.ndarray) -> np.ndarray:
-        """(R,) of the nearest displacement in the modes to a field in mm."""
-        flat = np.ascontiguousarray(field, np.float32).ravel()
-        return self._project(flat, self._layouts[field.shape])
+    def coordinates(self, field: np.ndarray) -> tuple[np.ndarray, float]:
+        """(a (R,) mm of the nearest displacement in the modes to a field in mm, |u|^2 over the free
+        nodes). Raises InputError for another shape and for values that are not finite."""
+        flat, layout = self._flat(field, "displacement")
+        with np.errstate(over="ignore"):
+            square = float(flat @ flat)
+        if not square < np.inf:
+            raise InputError("the displacement holds values that are not finite")
+        return self._project(flat, layout), square
 
     def _project(self, flat, layout):
         """Phi^T of a field at the free nodes."""
@@ -105,7 +117,7 @@ class Fields:
             right *= self._sign
             folded = [(left + right) * self._half, (left - right) * self._half]
         parts = zip(self.model.blocks, folded, strict=True)
-        return np.concatenate([f.astype(np.float32) @ block.decoder for block, f in parts])
+        return np.concatenate([f @ block.decoder for block, f in parts])
 
     def decode(self, a: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """The displacement in mm, float32, of coordinates a (R,), as a field of this shape."""

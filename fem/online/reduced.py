@@ -37,6 +37,8 @@ a mirror there is block 0 alone, and all are left ones.
     decoder<b> (3 h_u, R_b)    u_b (3, h_u);  u_left = u_0 + u_1,  R u_right = u_0 - u_1; of the
                                nodes in `free` (sides, h_u) int32; the other nodes stand still
     flexibility<b> (R_b, R_b) mm/mN   K_r^-1 of the block
+    missing<b> (k_b, 3 h_f) mm/mN   |missing_b f_b|^2, summed, is the square of what the modes miss
+                               of the linear answer to f: for fem.online.indicator
     prony (K, 2) float64       g, tau in s
     grid_shape (3,), grid_index (N,) int64    the node grid of the mesh, where it has one
     meta uint8                 JSON in UTF-8: `axis` that R flips, digests of `mesh` and `material`,
@@ -49,7 +51,7 @@ from pathlib import Path
 import numpy as np
 
 from fem.errors import InputError
-from fem.online.creep import Creep, exponential_weights
+from fem.online.creep import Creep, CreepFilter
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.residual import Residual
@@ -88,9 +90,9 @@ class ReducedStepper:
         self.model, self.interval, self.grid = model, interval, model.grid
         self.tolerance, self.most = tolerance, most
         self.fields, self.residual = Fields(model), Residual(model)
-        self._creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
-        self._weights = np.array([weight for weight, _ in self._creep.terms])
-        self._interval: float | None = None
+        creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
+        self._memory = CreepFilter(creep, (model.modes,))
+        self._elapsed = 0.0  # s, the dt that the residual's filters are for
         R = model.modes
         self._dR, self._dX = np.zeros((2, SECANTS, R), np.float32)
         self._gram = np.zeros((SECANTS, SECANTS))
@@ -104,8 +106,7 @@ class ReducedStepper:
     def reset(self) -> None:
         """Back to rest: no force in the past."""
         self.residual.reset()
-        # rows: s_k of the creep filter, the last force's answer and the new one's
-        self._slow = np.zeros((len(self._creep.terms) + 2, self.model.modes))
+        self._memory.reset()
         self._correction = np.zeros(self.model.modes, np.float32)
         self._count = 0  # of secants
         self.a = np.zeros(self.model.modes, np.float32)
@@ -116,15 +117,12 @@ class ReducedStepper:
         grew linearly since; see fem.online.stepper.Stepper."""
         if dt is None:
             dt = self.interval
-        if dt != self._interval or dt is None:
+        if dt is None or dt != self._elapsed:
             check_interval(None, dt)
-            self._set_interval(float(dt))  # type: ignore[arg-type]
+            self._elapsed = float(dt or 0)
+            self.residual.set_interval(self._elapsed)
         layout, g = self.fields.encode(np.asarray(force))
-        slow = self._slow
-        slow[-1] = g
-        slow[:-2] = self._advance @ slow
-        slow[-2] = g
-        linear = g + (self._weights @ slow[:-2]).astype(np.float32)
+        linear = self._memory.step(g, self._elapsed).astype(np.float32)
         self.residual.begin(g)
         with np.errstate(all="ignore"):  # a guess may be anything; what is not finite is taken back
             self.a = self._solve(linear + self._correction)
@@ -132,15 +130,6 @@ class ReducedStepper:
         self._correction = self.a - linear
         self.carried = self.fields.carried
         return self.fields.decode(self.a, layout)
-
-    def _set_interval(self, dt):
-        self.residual.set_interval(dt)
-        K = len(self._creep.terms)
-        self._advance = np.zeros((K, K + 2))
-        for k, (_, time) in enumerate(self._creep.terms):
-            a, old, new = exponential_weights(dt, time)
-            self._advance[k, k], self._advance[k, K:] = 1 - a, (a * old, a * new)
-        self._interval = dt
 
     def _solve(self, a):
         """The coordinates at which the frame is at rest, from a first guess; where that cannot be
@@ -195,9 +184,10 @@ class ReducedStepper:
         secants."""
         kept = min(self._count, SECANTS)
         return self.residual.state() | {
-            "slow": self._slow[:-1].copy(),
+            **self._memory.state(),
             "correction": self._correction.copy(),
             "secants": np.stack([self._dR[:kept], self._dX[:kept]]),
+            "gram": self._gram[:kept, :kept].copy(),
             "count": np.array(self._count),
         }
 
@@ -207,17 +197,16 @@ class ReducedStepper:
         fits = state.keys() == wanted.keys() and all(
             np.shape(state[name]) == values.shape
             for name, values in wanted.items()
-            if name != "secants"
+            if name not in ("secants", "gram")
         )
         if not fits:
             raise InputError(
                 "the state is of another stepper; restore what state() of the same stepper gave"
             )
         self.residual.restore(state)
-        self._slow[:-1] = state["slow"]
+        self._memory.restore(state)
         self._correction = np.array(state["correction"], np.float32)
         self._count = int(state["count"])
         kept = min(self._count, SECANTS)
         self._dR[:kept], self._dX[:kept] = state["secants"]
-        dR = self._dR[:kept].astype(float)
-        self._gram[:kept, :kept] = dR @ dR.T
+        self._gram[:kept, :kept] = state["gram"]

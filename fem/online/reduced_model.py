@@ -20,7 +20,7 @@ from fem.online.grid import NodeGrid
 FORMAT = "unet-fem reduced 1"
 REMEDY = "make one with python -m fem.reduce data.h5"
 BLOCK = {"A": ("S", "n"), "M": ("R", "z"), "encoder": ("R", "f"), "decoder": ("d", "R")}
-BLOCK |= {"flexibility": ("R", "R")}  # axes of the arrays of a parity
+BLOCK |= {"flexibility": ("R", "R"), "missing": ("k", "f")}  # axes of the arrays of a parity
 META = {"mesh": str, "material": str, "law": dict, "nodes": int, "interval": float}
 
 
@@ -29,7 +29,7 @@ class Block:
     """The arrays of one parity, float32; h: left points, n: its modes that points see.
 
     A (9 h, n) 1/mm; M (R, 9 h + n) mm and 1; encoder (R, 3 h_force) mm/mN; decoder (3 h_free, R);
-    flexibility (R, R) mm/mN.
+    flexibility (R, R) mm/mN; missing (k, 3 h_force) mm/mN.
     """
 
     A: np.ndarray
@@ -37,6 +37,7 @@ class Block:
     encoder: np.ndarray
     decoder: np.ndarray
     flexibility: np.ndarray
+    missing: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class ReducedModel:
                 raise InputError(f"the model's meta has no {name} ({kind.__name__}); {REMEDY}")
         sizes = {"f": 3 * self.force.shape[-1], "d": 3 * self.free.shape[-1]}
         for b, block in enumerate(self.blocks):
-            local = {"n": block.A.shape[-1], "R": len(block.M)}
+            local = {"n": block.A.shape[-1], "R": len(block.M), "k": len(block.missing)}
             sizes.setdefault("S", len(block.A))
             local["z"] = sizes["S"] + local["n"]
             for name, axes in BLOCK.items():

@@ -12,6 +12,7 @@ from fem.online.point_law import point_law
 from fem.online.reduced_model import Block, ReducedModel
 from fem.reduced.cubature import unit_tangent
 from fem.reduced.fit import normal_equations
+from fem.reduced.missing import missing_answers
 from fem.reduced.points import gradients_at, points_law
 from fem.reduced.reduction import Reduction
 from fem.reduced.symmetry import Sides
@@ -45,6 +46,7 @@ class Assembly:
             self.A.append(np.ascontiguousarray(A, np.float32))
             self.M.append(np.hstack([onto, -stiffness]))
         self.normals = normal_equations(reduction, self.A, self.law)
+        self.missing = missing_answers(reduction)
 
     def model(self, fit: float | None, **meta: Any) -> ReducedModel:
         """The ReducedModel whose M has a fit with this ridge, or that of the cubature for None."""
@@ -55,10 +57,16 @@ class Assembly:
             M = [normal.solve(start, stresses, fit) for normal, start in both]
         reduction = self.reduction
         arrays = zip(
-            self.A, M, reduction.encoder, reduction.decoder, reduction.flexibility, strict=True
+            self.A,
+            M,
+            reduction.encoder,
+            reduction.decoder,
+            reduction.flexibility,
+            self.missing,
+            strict=True,
         )
         blocks = tuple(
-            Block(*(np.ascontiguousarray(a, np.float32) for a in five)) for five in arrays
+            Block(*(np.ascontiguousarray(array, np.float32) for array in some)) for some in arrays
         )
         meta |= {
             "mesh": body.mesh.digest,

@@ -19,6 +19,7 @@ from fem.reduced.symmetry import Sides
 ROWS = 12  # combinations of the modes for each snapshot
 CANDIDATES = 12_000  # points, or pairs of them, among which is chosen; drawn where there are more
 BLOCK = 8  # points that are added at a time
+ENOUGH = 1e-6  # relative residual at which no more are added
 
 
 def cubature(
@@ -110,10 +111,13 @@ def choose(
     """(which, weights > 0, relative residual) of at most `count` columns (rows, h) whose weighted
     sum is nearest to `target` (rows,)."""
     norms = np.sqrt(np.einsum("ij,ij->j", columns, columns)) + 1e-30
+    columns = columns / norms  # of one size, for the sake of the normal equations
     active: list[int] = []
     weights, rest = np.zeros(0), target
     for _ in range(4 * count):
-        score = (rest.astype(np.float32) @ columns) / norms
+        if np.linalg.norm(rest) < ENOUGH * np.linalg.norm(target):
+            break
+        score = rest.astype(np.float32) @ columns
         score[active] = -np.inf
         best = np.argsort(score)[::-1][: min(BLOCK, count - len(active))]
         best = best[score[best] > 0]
@@ -122,7 +126,11 @@ def choose(
         weights = np.append(weights, np.zeros(len(best)))
         active, weights = _positive(columns, target, [*active, *best.tolist()], weights)
         rest = target - columns[:, active] @ weights
-    return np.array(active), weights, float(np.linalg.norm(rest) / np.linalg.norm(target))
+    return (
+        np.array(active),
+        weights / norms[active],
+        float(np.linalg.norm(rest) / np.linalg.norm(target)),
+    )
 
 
 def _positive(columns, target, active, weights):

@@ -75,9 +75,9 @@ class Normal:
 
     def add(self, z: np.ndarray, target: np.ndarray) -> None:
         """Samples z (S, inputs) and what M z should be (S, outputs)."""
-        z = z.astype(np.float32)
+        z = z.astype(float)  # a small ridge needs the digits
         self.gram += z.T @ z
-        self.right += z.T @ target.astype(np.float32)
+        self.right += z.T @ target
 
     def solve(self, start: np.ndarray, stresses: int, ridge: float) -> np.ndarray:
         """M (outputs, inputs), towards `start`; the first `stresses` inputs are of that kind."""

@@ -36,7 +36,7 @@ class Sides:
         return np.array([self.left, self.right][: self.parities], np.int32)
 
     @property
-    def _share(self) -> np.ndarray:
+    def share(self) -> np.ndarray:
         """(h,) what a pair's left value is of its orthonormal coordinate."""
         alone = self.left == self.right
         return np.ones(len(alone)) if self.axis is None else np.where(alone, 1.0, np.sqrt(0.5))
@@ -48,7 +48,7 @@ class Sides:
             return [left.reshape(*left.shape[:-2], -1)]
         right = np.moveaxis(field[..., self.right, :], -1, -2).copy()
         right[..., self.axis, :] *= -1
-        weight = 0.5 / self._share
+        weight = 0.5 / self.share
         parts = ((left + sign * right) * weight for sign in (1, -1))
         return [part.reshape(*part.shape[:-2], -1) for part in parts]
 
@@ -71,7 +71,7 @@ class Sides:
 
     def left_values(self, coordinates: np.ndarray) -> np.ndarray:
         """(..., 3, h) left values of a field of one parity with these coordinates (..., 3 h)."""
-        return coordinates.reshape(*coordinates.shape[:-1], 3, -1) * self._share
+        return coordinates.reshape(*coordinates.shape[:-1], 3, -1) * self.share
 
     def field(self, coordinates: np.ndarray, parity: int, n_nodes: int) -> np.ndarray:
         """The field (..., n_nodes, 3) of one parity, zero at other nodes."""

@@ -128,7 +128,7 @@ def test_its_state_is_all_that_the_next_answer_depends_on(whole_model, block):
     answers = [stepper.step(push(block, size)) for size in (2.0, 1.0)]
     other.restore(state)
     again = [other.step(push(block, size), 0.25) for size in (2.0, 1.0)]
-    assert np.allclose(again, answers, rtol=0, atol=1e-6 * np.abs(answers).max())
+    assert np.array_equal(again, answers)
     with pytest.raises(InputError, match="another stepper"):
         other.restore({"forces": np.zeros(3)})
 
