@@ -290,8 +290,8 @@ def test_hard_interactions_push_together_beyond_the_range(surface):
     [
         ({"count": 0}, "contact.count = 0"),
         ({"cone": 90.0}, "contact.cone = 90"),
-        ({"force": (2.0, 1.0)}, r"contact.force = \[2, 1\]"),
-        ({"force": (-1.0, 1.0)}, r"contact.force = \[-1, 1\]"),
+        ({"force": (2.0, 1.0)}, r"contact.force = \[2.0, 1.0\]"),
+        ({"force": (-1.0, 1.0)}, r"contact.force = \[-1.0, 1.0\]"),
         ({"hold": (0.0, np.inf)}, "contact.hold"),
         ({"rate": (np.nan, 1.0)}, "contact.rate"),
         ({"radius": (0.0, 1.0)}, "contact.radius"),
