@@ -316,7 +316,7 @@ def test_a_share_of_the_contacts_pulls(surface):
         first, same = ours[0], theirs[0]
         assert np.array_equal(np.abs(first.direction), np.abs(same.direction))
         assert (first.peak, first.onset, first.rate) == (same.peak, same.onset, same.rate)
-    with pytest.raises(InputError, match="contact.pull = 1.5 must be a share"):
+    with pytest.raises(InputError, match="contact.pull = 1.5 must be from 0 to 1"):
         replace(RANGES, pull=1.5)
 
 
