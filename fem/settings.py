@@ -1,6 +1,8 @@
-"""TOML into frozen dataclasses, strictly: an unknown key or a wrong type is an error that names it.
+"""TOML into frozen dataclasses, strictly: an unknown key, a wrong type or a number out of range is
+an error that names it.
 
-Every check sits in the dataclass's `__post_init__`; here only names and types are judged.
+Ranges stand beside the fields, see fem.ranges; what depends on several fields is judged in the
+dataclass's `__post_init__`.
 """
 
 import dataclasses
@@ -17,6 +19,7 @@ import numpy as np
 import tomli_w
 
 from fem.errors import InputError
+from fem.ranges import ANY, KEY, check, check_fields
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -88,13 +91,17 @@ def build(cls: type, tree: dict[str, Any], where: str = "") -> Any:
             values[name] = field.metadata["build"](tree[name], _join(where, name))
         elif name in tree:
             values[name] = _convert(tree[name], hints[name], _join(where, name))
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            check(_join(where, name), values[name], field.metadata.get(KEY, ANY))
+    for name, field in fields.items():
+        bare = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if bare and name not in values:
             raise InputError(f"'{_join(where, name)}' is missing")
     return cls(**values)
 
 
-def normalised(settings: Any) -> None:
-    """Turn each field of a frozen dataclass into the type that its annotation names.
+def normalised(settings: Any, where: str = "") -> None:
+    """Turn each field of a frozen dataclass into the type that its annotation names, within the
+    range that its field names; where: of its table, for messages.
 
     Call it first in `__post_init__`: `normalised(self)`. An int becomes a float, a list or an array
     a tuple, a NumPy scalar a plain value, so that equal settings are equal however they were built.
@@ -102,8 +109,10 @@ def normalised(settings: Any) -> None:
     hints = typing.get_type_hints(type(settings))
     for field in dataclasses.fields(settings):
         if field.init:
-            value = _convert(getattr(settings, field.name), hints[field.name], field.name)
+            name = _join(where, field.name)
+            value = _convert(getattr(settings, field.name), hints[field.name], name)
             object.__setattr__(settings, field.name, value)
+    check_fields(settings, where)
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -25,8 +25,8 @@ LAWS = (
 # From the bottom up. A module belongs to the longest of these names that it starts with, and may
 # import from its own layer and those before it.
 LAYERS = [
-    "fem.errors fem.lazy fem.former fem.files fem.locks fem.cache fem.settings fem.workers"
-    " fem.commands fem.measure.timing fem.measure.machine"
+    "fem.errors fem.lazy fem.former fem.files fem.ranges fem.locks fem.cache fem.settings"
+    " fem.workers fem.commands fem.measure.timing fem.measure.machine"
     " fem unet_fem unet_fem.former unet_fem.metrics",
     LAWS,
     "fem.online",
@@ -56,8 +56,13 @@ COMMANDS = (
     " unet_fem.train unet_fem.evaluate unet_fem.runtime.__main__"
 )
 PACKAGES = "fem", "unet_fem"
-BASE = f"fem.errors fem.lazy fem.former fem.files fem.cache fem.online unet_fem.former {LAWS}"
-RUNTIME = f"fem.online fem.errors fem.files fem.lazy fem.commands unet_fem.runtime {LAWS}"
+BASE = (
+    "fem.errors fem.lazy fem.former fem.files fem.ranges fem.cache fem.online unet_fem.former"
+    f" {LAWS}"
+)
+RUNTIME = (
+    f"fem.online fem.errors fem.files fem.ranges fem.lazy fem.commands unet_fem.runtime {LAWS}"
+)
 
 # The imports inside functions, {(module, imported): why}: a light path must not pay for them.
 DEFERRED = {

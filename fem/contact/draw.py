@@ -4,12 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fem.contact.push import Contact
+from fem.contact.push import PATTERNS, Contact
 from fem.contact.surface import Surface
-from fem.errors import InputError
+from fem.ranges import number
 from fem.settings import normalised
-
-PATTERNS = ("hold", "release", "oscillate")
 
 
 @dataclass(frozen=True)
@@ -22,38 +20,20 @@ class ContactRange:
     that has gripped the tissue does.
     """
 
-    count: int
-    radius: tuple[float, float]
-    force: tuple[float, float]
-    travel: tuple[float, float] = (0.0, 0.0)
-    cone: float = 0.0
-    ramp: tuple[float, float] = (0.3, 1.0)
-    hold: tuple[float, float] = (0.2, 1.5)
-    onset: tuple[float, float] = (0.0, 1.0)
-    low: tuple[float, float] = (0.0, 0.6)
-    rate: tuple[float, float] = (0.3, 1.0)
-    pull: float = 0.0
+    count: int = number(1, 1000)
+    radius: tuple[float, float] = number(1e-6, 10, "m", ascending=True)
+    force: tuple[float, float] = number(0, 1e4, "N", ascending=True)
+    travel: tuple[float, float] = number(0, 10, "m", ascending=True, default=(0.0, 0.0))
+    cone: float = number(0, 89.9, "degrees", default=0.0)
+    ramp: tuple[float, float] = number(1e-4, 1e5, "s", ascending=True, default=(0.3, 1.0))
+    hold: tuple[float, float] = number(0, 1e5, "s", ascending=True, default=(0.2, 1.5))
+    onset: tuple[float, float] = number(0, 1e5, "s", ascending=True, default=(0.0, 1.0))
+    low: tuple[float, float] = number(0, 1, ascending=True, default=(0.0, 0.6))
+    rate: tuple[float, float] = number(0, 100, "Hz", ascending=True, default=(0.3, 1.0))
+    pull: float = number(0, 1, default=0.0)
 
     def __post_init__(self) -> None:
-        normalised(self)
-        if self.count < 1:
-            raise InputError(f"contact.count = {self.count} must be at least 1")
-        if not 0 <= self.cone < 90:
-            raise InputError(f"contact.cone = {self.cone} degrees must be from 0 to below 90")
-        if not 0 <= self.pull <= 1:
-            raise InputError(f"contact.pull = {self.pull} must be a share of the contacts, 0 to 1")
-        for name in ("radius", "force", "travel", "ramp", "hold", "onset", "low", "rate"):
-            low, high = getattr(self, name)
-            if not (0 <= low <= high < np.inf):
-                raise InputError(
-                    f"contact.{name} = [{low:g}, {high:g}] must be two numbers from low to high,"
-                    " none negative"
-                )
-        for name in ("radius", "ramp"):
-            if getattr(self, name)[0] <= 0:
-                raise InputError(
-                    f"contact.{name} starts at {getattr(self, name)[0]:g}; it must be above 0"
-                )
+        normalised(self, "contact")
 
 
 def draw_contacts(

@@ -1,6 +1,7 @@
 """Instruments that push on the free surface: smooth circular footprints with a path, a force
 history and a direction."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,10 @@ import numpy as np
 
 from fem.contact.surface import Surface
 from fem.errors import InputError
+from fem.ranges import check_fields, number
 from fem.settings import normalised
+
+PATTERNS = ("hold", "release", "oscillate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +28,34 @@ class Contact:
     start: np.ndarray
     end: np.ndarray
     direction: np.ndarray
-    radius: float
-    peak: float
-    onset: float = 0.0
-    ramp: float = 0.5
-    hold: float = np.inf
+    radius: float = number(1e-6, 1e3, "m")
+    peak: float = number(-1e6, 1e6, "N")
+    onset: float = number(-1e6, 1e6, "s", default=0.0)
+    ramp: float = number(1e-6, 1e6, "s", default=0.5)
+    hold: float = number(0, np.inf, "s", default=np.inf)
     pattern: str = "hold"
-    low: float = 0.0
-    rate: float = 1.0
-    duration: float = np.inf
+    low: float = number(0, 1, default=0.0)
+    rate: float = number(0, 100, "Hz", default=1.0)
+    duration: float = number(0, np.inf, "s", default=np.inf)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "contact")
+        for name in ("start", "end", "direction"):
+            if np.shape(getattr(self, name)) != (3,):
+                raise InputError(
+                    f"a contact's {name} has shape {np.shape(getattr(self, name))}; give (x, y, z)"
+                )
+        length = math.hypot(*self.direction)
+        if not abs(length - 1) < 1e-6:
+            raise InputError(f"a contact's direction has length {length:g}; give a unit vector")
+        if self.pattern not in PATTERNS:
+            raise InputError(
+                f"a contact's pattern '{self.pattern}' is not one of {', '.join(PATTERNS)}"
+            )
+        if not self.duration > self.onset:
+            raise InputError(
+                f"a contact of duration {self.duration} s ends before its onset at {self.onset} s"
+            )
 
     def force(self, t: float) -> np.ndarray:
         """Force vector (3,) in N at time t."""
@@ -61,21 +84,16 @@ class Push:
     """
 
     at: str | tuple[float, float, float]
-    force: float
-    radius: float
+    force: float = number(-1e6, 1e6, "N")
+    radius: float = number(1e-6, 1e3, "m")
     direction: tuple[float, float, float] | None = None
-    onset: float = 0.0
-    ramp: float = 0.5
+    onset: float = number(-1e6, 1e6, "s", default=0.0)
+    ramp: float = number(1e-6, 1e6, "s", default=0.5)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.at, str):
-            object.__setattr__(self, "at", tuple(float(x) for x in self.at))
-        normalised(self)
+        normalised(self, "push")
         if isinstance(self.at, str) and self.at not in ("top", "middle", "rim"):
             raise InputError(f"a push at '{self.at}'; give 'top', 'middle', 'rim' or a point in m")
-        for name in ("radius", "ramp"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InputError(f"a push of {name} {getattr(self, name)} must have it above 0")
         if self.direction is not None and not np.linalg.norm(self.direction) > 0:
             raise InputError(f"a push along {self.direction} has no direction; leave it out")
 

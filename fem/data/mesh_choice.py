@@ -6,8 +6,6 @@ from dataclasses import InitVar, dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from fem import settings as config
 from fem.errors import InputError
 from fem.mesh.embedding import Embedding
@@ -15,6 +13,7 @@ from fem.mesh.hexmesh import HexMesh
 from fem.mesh.node_grid import node_grid
 from fem.mesh.read import check_held, read_mesh
 from fem.mesh.shapes import TUMOUR_EDGE, box, tumour
+from fem.ranges import number
 
 # which settings of MeshChoice mean something for which kind of mesh, and what they are if left out
 MESH_KINDS: dict[str, dict[str, object]] = {
@@ -48,19 +47,19 @@ class MeshChoice:
     """
 
     kind: Literal["tumour", "box", "file", "given"] | None = None
-    edge: float | None = None
-    cells: tuple[int, int, int] | None = None
+    edge: float | None = number(1e-6, 10, "m", default=None)
+    cells: tuple[int, int, int] | None = number(1, 10_000, default=None)
     file: str | None = None
-    scale: float | None = None
+    scale: float | None = number(1e-9, 1e3, "m", default=None)
     fixed: str | None = None
     loaded: str | None = None
-    grid: tuple[int, int, int] | None = None
+    grid: tuple[int, int, int] | None = number(2, 10_000, default=None)
     sha256: str | None = None
     folder: InitVar[str | Path] = ""
     mesh: InitVar[HexMesh | None] = None
 
     def __post_init__(self, folder: str | Path, mesh: HexMesh | None) -> None:
-        config.normalised(self)
+        config.normalised(self, "mesh")
         set_ = object.__setattr__
         set_(self, "folder", str(folder))
         set_(self, "mesh", mesh)
@@ -76,10 +75,6 @@ class MeshChoice:
                 )
         if kind == "file" and not self.file:
             raise InputError("mesh.kind = 'file' needs mesh.file, such as 'liver.vtu'")
-        for name in ("scale", "edge"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise InputError(f"mesh.{name} = {value} m must be positive")
 
     def located(self, folder: str | Path) -> "MeshChoice":
         """This choice with its file found in `folder` and its content known."""

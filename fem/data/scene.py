@@ -16,6 +16,7 @@ from fem.material.groups import Groups, by_cells, check_groups, split_table
 from fem.material.kinds import from_table, to_table
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.read import check_held
+from fem.ranges import number
 from fem.solver.explicit import Solver
 from fem.solver.gate import LIMITS
 from fem.solver.quasistatic import TOLERANCE, QuasiStatic
@@ -42,15 +43,15 @@ class SolverChoice:
 
     element: Literal["full", "mean_dilatation", "reduced"] = "full"
     precision: Literal["float32", "float64"] = "float32"
-    hourglass_stiffness: float | None = None
-    damping: float = 0.0
-    mass_scaling: float = 1.0
-    safety: float = 0.85
+    hourglass_stiffness: float | None = number(0, 100, default=None)
+    damping: float = number(0, 1e6, "1/s", default=0.0)
+    mass_scaling: float = number(1e-3, 1e8, default=1.0)
+    safety: float = number(1e-3, 10, default=0.85)
     kind: Literal["explicit", "quasistatic"] = "explicit"
-    tolerance: float | None = None
+    tolerance: float | None = number(1e-12, 1, default=None)
 
     def __post_init__(self) -> None:
-        config.normalised(self)
+        config.normalised(self, "solver")
         self._check_kind()
         if self.element != "reduced" and self.hourglass_stiffness is not None:
             raise InputError(
@@ -88,16 +89,11 @@ class SolverChoice:
 class Frames:
     """count frames, `interval` s apart; the first is the state at rest."""
 
-    count: int
-    interval: float
+    count: int = number(2, 1_000_000)
+    interval: float = number(1e-5, 1e5, "s")
 
     def __post_init__(self) -> None:
-        config.normalised(self)
-        if self.count < 2 or not 0 < self.interval < np.inf:
-            raise InputError(
-                f"frames: count = {self.count} must be at least 2 and interval = {self.interval}"
-                " s positive"
-            )
+        config.normalised(self, "frames")
 
     @property
     def times(self) -> np.ndarray:
@@ -111,6 +107,8 @@ class Frames:
 
 
 PAPERS_HARD = (78, 85)  # of the paper's 100 tests
+MOST = 1_000_000  # interactions of a split
+SHARE = 1e6  # of what health limits: as good as no limit
 
 
 @dataclass(frozen=True)
@@ -125,23 +123,16 @@ class Interactions:
     dataset without it.
     """
 
-    seed: int
-    train: int
-    validation: int
-    test: int
-    hard: tuple[int, int] | None = None
-    hard_force: tuple[float, float] | None = None
-    hard_set: int = 0
+    seed: int = number(0, 2**63 - 1)
+    train: int = number(1, MOST)
+    validation: int = number(1, MOST)
+    test: int = number(1, MOST)
+    hard: tuple[int, int] | None = number(1, MOST, default=None, ascending=True)
+    hard_force: tuple[float, float] | None = number(1, 100, default=None, ascending=True)
+    hard_set: int = number(0, MOST, default=0)
 
     def __post_init__(self) -> None:
-        config.normalised(self)
-        for name in ("train", "validation", "test"):
-            if getattr(self, name) < 1:
-                raise InputError(f"interactions.{name} = {getattr(self, name)} must be at least 1")
-        if self.hard_set < 0:
-            raise InputError(f"interactions.hard_set = {self.hard_set} must not be negative")
-        if self.seed < 0:
-            raise InputError(f"interactions.seed = {self.seed} must not be negative")
+        config.normalised(self, "interactions")
         if self.hard is None and self.test >= PAPERS_HARD[1]:
             object.__setattr__(self, "hard", PAPERS_HARD)
         if self.hard is None and not self.hard_set:
@@ -151,18 +142,12 @@ class Interactions:
                     " interactions.hard or hard_set; give one, or leave all out"
                 )
             return
-        if self.hard is not None and not (1 <= self.hard[0] <= self.hard[1] <= self.test):
+        if self.hard is not None and self.hard[1] > self.test:
             raise InputError(
                 f"interactions.hard = {list(self.hard)} must be first and last number within the"
                 f" {self.test} test interactions"
             )
-        low, high = self.hard_force or (1.3, 1.6)
-        if not 1 <= low <= high < np.inf:
-            raise InputError(
-                f"interactions.hard_force = [{low}, {high}] must be two factors from low to high,"
-                " at least 1"
-            )
-        object.__setattr__(self, "hard_force", (low, high))
+        object.__setattr__(self, "hard_force", self.hard_force or (1.3, 1.6))
 
     def all(self) -> list[tuple[str, int]]:
         """[(split, number)] of every interaction, in the order of the dataset."""
@@ -190,20 +175,18 @@ class Health:
     mass_error: largest relative L2 distance of their displacement from it
     """
 
-    imbalance: float | None = None
-    min_J: float = 0.15
-    kinetic_share: float = 0.05
-    corner_J: float = LIMITS.corner_J
-    disequilibrium: float = LIMITS.disequilibrium
-    hourglass_motion: float = LIMITS.hourglass_motion
-    hourglass_share: float = LIMITS.hourglass_share
-    confirm: int = 3
-    mass_error: float = 0.02
+    imbalance: float | None = number(0, SHARE, default=None)
+    min_J: float = number(0, 1, default=0.15)
+    kinetic_share: float = number(0, SHARE, default=0.05)
+    corner_J: float = number(0, 1, default=LIMITS.corner_J)
+    disequilibrium: float = number(0, SHARE, default=LIMITS.disequilibrium)
+    hourglass_motion: float = number(0, SHARE, default=LIMITS.hourglass_motion)
+    hourglass_share: float = number(0, SHARE, default=LIMITS.hourglass_share)
+    confirm: int = number(0, MOST, default=3)
+    mass_error: float = number(0, SHARE, default=0.02)
 
     def __post_init__(self) -> None:
-        config.normalised(self)
-        if self.confirm < 0:
-            raise InputError(f"health.confirm = {self.confirm} must not be negative; 0 is none")
+        config.normalised(self, "health")
 
 
 @dataclass(frozen=True)

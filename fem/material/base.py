@@ -17,10 +17,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fem.errors import InputError
+from fem.ranges import Range, check_fields, shown
 
 if TYPE_CHECKING:
     import scipy.sparse
 
+# ranges of parameters, see fem.ranges
+MODULUS, TERM = (1e-3, 1e13, "Pa"), (-1e13, 1e13, "Pa")
+NU, DENSITY = (0, 0.5), (1e-6, 1e9, "kg/m3")
+PRONY = Range(1e-12, 1), Range(1e-9, 1e12, "s")
 STEP = 6e-6  # of a central difference: the cube root of float64's rounding
 
 
@@ -218,8 +223,16 @@ def acoustic_stiffness(tangent: np.ndarray) -> np.ndarray:
 
 
 def parameter(value: float | Sequence[float] | np.ndarray) -> float | np.ndarray:
-    """A parameter as one float, or as an array of one a cell."""
-    array = np.array(value, float)
+    """A parameter as one float, or as an array of one a cell. Raises InputError for what is
+    neither."""
+    try:
+        array = np.array(value, float)
+    except (ValueError, TypeError):
+        array = np.empty((0, 0))
+    if array.ndim > 1:
+        raise InputError(
+            f"material parameter {shown(value)} must be a number, or one number a cell"
+        )
     return array if array.ndim else float(array)
 
 
@@ -235,8 +248,8 @@ def check_parameters(law: Any, *names: str) -> None:
     of one a cell and tuples; raise InputError for values that no tissue has."""
     for name in (*names, "nu", "density"):
         object.__setattr__(law, name, parameter(getattr(law, name)))
-    prony = tuple((float(g), float(tau)) for g, tau in law.prony)
-    object.__setattr__(law, "prony", prony)
+    object.__setattr__(law, "prony", pairs("prony", law.prony))
+    check_fields(law, "material")
     require(
         "nu",
         law.nu,
@@ -245,6 +258,18 @@ def check_parameters(law: Any, *names: str) -> None:
     )
     check_density(law.density)
     check_prony(law.prony)
+
+
+def pairs(name: str, value: Any) -> tuple[tuple[Any, float], ...]:
+    """`value` as pairs of a parameter and a number. Raises InputError for anything else."""
+    try:
+        return tuple((parameter(first), float(second)) for first, second in value)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"material.{name} = {shown(value)} must be a list of pairs of numbers"
+        ) from None
 
 
 def check_density(density: float | np.ndarray) -> None:

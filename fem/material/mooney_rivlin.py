@@ -5,6 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fem.material.base import (
+    DENSITY,
+    NU,
+    PRONY,
+    TERM,
     Hyperelastic,
     bulk_modulus,
     check_parameters,
@@ -18,6 +22,7 @@ from fem.material.kinematics import (
     pressure_tangent,
     where_upright,
 )
+from fem.ranges import number, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +47,11 @@ class MooneyRivlin(Hyperelastic):
     332.1
     """
 
-    c10: np.ndarray | float
-    c01: np.ndarray | float
-    nu: np.ndarray | float
-    density: np.ndarray | float
-    prony: tuple[tuple[float, float], ...] = ()
+    c10: np.ndarray | float = number(*TERM)
+    c01: np.ndarray | float = number(*TERM)
+    nu: np.ndarray | float = number(*NU)
+    density: np.ndarray | float = number(*DENSITY)
+    prony: tuple[tuple[float, float], ...] = numbers(*PRONY, default=())
 
     def __post_init__(self) -> None:
         check_parameters(self, "c10", "c01")

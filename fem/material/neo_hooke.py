@@ -5,10 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fem.material.base import (
+    DENSITY,
+    MODULUS,
+    NU,
+    PRONY,
     Hyperelastic,
     bulk_modulus,
     check_parameters,
-    require,
 )
 from fem.material.kinematics import (
     add_to_diagonal,
@@ -17,6 +20,7 @@ from fem.material.kinematics import (
     pressure_tangent,
     where_upright,
 )
+from fem.ranges import number, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +46,13 @@ class NeoHooke(Hyperelastic):
     313.0
     """
 
-    mu: np.ndarray | float
-    nu: np.ndarray | float
-    density: np.ndarray | float
-    prony: tuple[tuple[float, float], ...] = ()
+    mu: np.ndarray | float = number(*MODULUS)
+    nu: np.ndarray | float = number(*NU)
+    density: np.ndarray | float = number(*DENSITY)
+    prony: tuple[tuple[float, float], ...] = numbers(*PRONY, default=())
 
     def __post_init__(self) -> None:
         check_parameters(self, "mu")
-        mu = self.mu
-        require("mu", mu, (0 < mu) & (mu < np.inf), "Pa must be positive")
 
     @property
     def K(self) -> float | np.ndarray:

@@ -6,10 +6,14 @@ import numpy as np
 
 from fem.errors import InputError
 from fem.material.base import (
+    DENSITY,
+    NU,
+    PRONY,
+    TERM,
     Hyperelastic,
     bulk_modulus,
     check_parameters,
-    parameter,
+    pairs,
     require,
 )
 from fem.material.kinematics import (
@@ -19,6 +23,7 @@ from fem.material.kinematics import (
     pressure_tangent,
     where_upright,
 )
+from fem.ranges import Range, number, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,26 +55,18 @@ class Ogden(Hyperelastic):
     224.5
     """
 
-    terms: tuple[tuple[np.ndarray | float, float], ...]
-    nu: np.ndarray | float
-    density: np.ndarray | float
-    prony: tuple[tuple[float, float], ...] = ()
+    terms: tuple[tuple[np.ndarray | float, float], ...] = numbers(Range(*TERM), Range(-100, 100))
+    nu: np.ndarray | float = number(*NU)
+    density: np.ndarray | float = number(*DENSITY)
+    prony: tuple[tuple[float, float], ...] = numbers(*PRONY, default=())
 
     def __post_init__(self) -> None:
-        check_parameters(self)
-        if any(np.ndim(a) for _, a in self.terms):
-            raise InputError(
-                "material.terms has exponents that differ from cell to cell; only moduli may differ"
-            )
-        terms = tuple((parameter(m), float(a)) for m, a in self.terms)
-        object.__setattr__(self, "terms", terms)
-        if not terms:
+        object.__setattr__(self, "terms", pairs("terms", self.terms))
+        if not self.terms:
             raise InputError("material.terms is empty; give pairs of modulus and exponent")
-        for m, a in terms:
-            if not (np.isfinite(m).all() and np.isfinite(a) and a != 0):
-                raise InputError(
-                    f"material.terms has (m, a) = ({m}, {a}); both must be finite and a not 0"
-                )
+        check_parameters(self)
+        if any(a == 0 for _, a in self.terms):
+            raise InputError("material.terms has an exponent a = 0; leave that pair out")
         mu = self.mu
         require("terms: mu = sum m a / 2", mu, (0 < mu) & (mu < np.inf), "Pa must be positive")
 

@@ -16,6 +16,8 @@ from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import from_voxels
 from fem.online.grid import MM, MN
 from fem.online.stepper import State, check_interval, check_nodal
+from fem.ranges import number
+from fem.settings import normalised
 from fem.solver.explicit import Solver
 from fem.solver.leapfrog import Leapfrog
 from fem.solver.leapfrog import State as SolverState
@@ -42,21 +44,14 @@ class LoopSettings:
 
     element: str
     coarse: bool
-    frame: float
-    steps: int
-    hourglass_stiffness: float = 0.2
-    damping: float = 0.1
-    rise: float = 1.0
+    frame: float = number(1e-6, 1e5, "s")
+    steps: int = number(1, 1_000_000)
+    hourglass_stiffness: float = number(0, 100, default=0.2)
+    damping: float = number(0, 1e3, default=0.1)
+    rise: float = number(0, 1, default=1.0)
 
     def __post_init__(self) -> None:
-        if not 0 < self.frame < np.inf:
-            raise InputError(f"frame = {self.frame} s must be positive and finite")
-        if self.steps < 1:
-            raise InputError(f"steps = {self.steps} a frame must be at least 1")
-        if not 0 <= self.damping < np.inf:
-            raise InputError(f"damping = {self.damping} must not be negative")
-        if not 0 <= self.rise <= 1:
-            raise InputError(f"rise = {self.rise} must be a share of the frame, 0 to 1")
+        normalised(self)
 
 
 class LoopControl(StepControl):

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Protocol
 
 from fem.errors import InputError
+from fem.ranges import number
 from fem.settings import normalised
 from unet_fem.networks.block import block_channels, coarse_block
 
@@ -33,10 +34,7 @@ class Options:
     kind: str = field(default="", init=False)
 
     def __post_init__(self) -> None:
-        normalised(self)
-        for name, value in self.own().items():
-            if not isinstance(value, bool) and value < 1:
-                raise InputError(f"model.{name} = {value} must be at least 1")
+        normalised(self, "model")
 
     def own(self) -> dict[str, int | bool]:
         """{name: value} of the kind's own settings."""
@@ -57,8 +55,8 @@ class CnnLstm(Options):
     """units: of the LSTM, per direction; steps: frames of the window."""
 
     kind: str = field(default="cnn_lstm", init=False)
-    units: int = 512
-    steps: int = 2
+    units: int = number(1, 100_000, default=512)
+    steps: int = number(1, 1000, default=2)
 
     @property
     def window(self) -> int:
@@ -73,7 +71,7 @@ class UNet(Options):
     """filters: channels of the first convolution."""
 
     kind: str = field(default="unet", init=False)
-    filters: int = 64
+    filters: int = number(1, 10_000, default=64)
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class Linear(Options):
     """steps: frames of the window."""
 
     kind: str = field(default="linear", init=False)
-    steps: int = 1
+    steps: int = number(1, 1000, default=1)
 
     @property
     def window(self) -> int | None:
@@ -94,7 +92,7 @@ class Pod(Linear):
     inputs."""
 
     kind: str = field(default="pod", init=False)
-    modes: int = 40
+    modes: int = number(1, 1_000_000, default=40)
     quadratic: bool = True
 
 

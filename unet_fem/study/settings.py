@@ -8,6 +8,8 @@ from pathlib import Path
 from fem import settings as config
 from fem.cache import cache_root
 from fem.errors import InputError
+from fem.files import plain_name
+from fem.ranges import Range, check, number
 from unet_fem.training.settings import Settings, load_settings
 
 LINEAR = "linear regression"  # names the regression among the claims of the paper
@@ -36,7 +38,7 @@ class Main:
 
     label: str
     run: str
-    prune_epochs: int = 10
+    prune_epochs: int = number(1, 1_000_000, default=10)
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Order:
 
     better: str
     worse: str
-    gain: float
+    gain: float = number(0, 1)
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,11 @@ class Fem:
     that its own error is measured on
     """
 
-    interactions: tuple[int, ...]
-    steps: tuple[int, ...] = (1, 2, 5, 11, 22, 44, 100, 200)
-    frames: tuple[float, ...] = (0.01, 0.25)
-    reference_safety: float = 0.85
-    checked: int = 3
+    interactions: tuple[int, ...] = number(1, 1_000_000)
+    steps: tuple[int, ...] = number(1, 1_000_000, default=(1, 2, 5, 11, 22, 44, 100, 200))
+    frames: tuple[float, ...] = number(1e-4, 1e5, "s", default=(0.01, 0.25))
+    reference_safety: float = number(1e-3, 1, default=0.85)
+    checked: int = number(0, 1_000_000, default=3)
 
 
 @dataclass(frozen=True)
@@ -82,8 +84,8 @@ class Stability:
     """Test interactions whose forces are multiplied by each factor, to see how far every competitor
     holds."""
 
-    interactions: tuple[int, ...]
-    factors: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
+    interactions: tuple[int, ...] = number(1, 1_000_000)
+    factors: tuple[float, ...] = number(1e-3, 1e3, default=(0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0))
 
 
 @dataclass(frozen=True)
@@ -115,11 +117,15 @@ class Study:
     long_data: str
     order: tuple[Order, ...] = ()
     paper_latency: dict = field(default_factory=dict)
-    prune: tuple[float, ...] = (0.5, 0.8)
-    pod_modes: tuple[int, ...] = (5, 10, 20, 40, 80, 160)
-    rounds: int = 200
+    prune: tuple[float, ...] = number(0.01, 0.99, default=(0.5, 0.8))
+    pod_modes: tuple[int, ...] = number(1, 1_000_000, default=(5, 10, 20, 40, 80, 160))
+    rounds: int = number(1, 1_000_000, default=200)
 
     def __post_init__(self) -> None:
+        for name in (self.name, *(network.name for network in self.networks)):
+            plain_name(name, "name")
+        for label, seconds in self.paper_latency.items():
+            check(f"paper_latency.{label}", seconds, Range(1e-9, 1e6, "s"))
         names = [network.name for network in self.networks]
         if len(set(names)) < len(names):
             raise InputError("networks: two have the same name; a run's name must be its own")

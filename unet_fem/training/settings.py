@@ -7,7 +7,9 @@ from typing import Literal
 
 from fem import settings as config
 from fem.errors import InputError
+from fem.files import plain_name
 from fem.online.volume import VOLUME_BAND
+from fem.ranges import number
 from unet_fem.networks.registry import NETWORKS, CnnLstm, Options, network
 
 QUICK = Path("configs/quick.toml")
@@ -17,15 +19,12 @@ QUICK = Path("configs/quick.toml")
 class LossChoice:
     """See unet_fem.training.losses.volume_loss; volume_weight 0 leaves the volume term out."""
 
-    volume_weight: float = 0.1
-    volume_threshold: float = VOLUME_BAND
-    direction_weight: float = 0.0
+    volume_weight: float = number(0, 1e6, default=0.1)
+    volume_threshold: float = number(0, 10, default=VOLUME_BAND)
+    direction_weight: float = number(0, 1e6, default=0.0)
 
     def __post_init__(self) -> None:
-        config.normalised(self)
-        for name in ("volume_weight", "volume_threshold", "direction_weight"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"loss.{name} = {getattr(self, name)} must not be negative")
+        config.normalised(self, "loss")
 
 
 @dataclass(frozen=True)
@@ -33,20 +32,15 @@ class TrainChoice:
     """schedule "cosine" lets the learning rate fall to zero at the last epoch; precision is Keras's
     policy. A regression is fitted in closed form and reads none of it."""
 
-    epochs: int
-    batch_size: int = 16
-    learning_rate: float = 1e-3
+    epochs: int = number(1, 1_000_000)
+    batch_size: int = number(1, 1_000_000, default=16)
+    learning_rate: float = number(1e-12, 1, default=1e-3)
     schedule: Literal["cosine", "constant"] = "cosine"
     precision: Literal["float32", "mixed_bfloat16"] = "float32"
-    seed: int = 1
+    seed: int = number(0, 2**32 - 1, default=1)
 
     def __post_init__(self) -> None:
-        config.normalised(self)
-        if self.epochs < 1 or self.batch_size < 1 or not 0 < self.learning_rate < 1:
-            raise InputError(
-                f"train: epochs = {self.epochs} and batch_size = {self.batch_size} must be at least"
-                f" 1, and learning_rate = {self.learning_rate} between 0 and 1"
-            )
+        config.normalised(self, "train")
 
 
 @dataclass(frozen=True)
@@ -63,10 +57,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         config.normalised(self)
-        if not self.name or Path(self.name).name != self.name:
-            raise InputError(
-                f"name = '{self.name}' must be a plain folder name; it is made under runs/"
-            )
+        plain_name(self.name, "name")
 
     @property
     def folder(self) -> Path:

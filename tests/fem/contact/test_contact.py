@@ -290,8 +290,8 @@ def test_hard_interactions_push_together_beyond_the_range(surface):
     [
         ({"count": 0}, "contact.count = 0"),
         ({"cone": 90.0}, "contact.cone = 90"),
-        ({"force": (2.0, 1.0)}, r"contact.force = \[2, 1\]"),
-        ({"force": (-1.0, 1.0)}, r"contact.force = \[-1, 1\]"),
+        ({"force": (2.0, 1.0)}, r"contact.force = \[2.0, 1.0\]"),
+        ({"force": (-1.0, 1.0)}, r"contact.force = \[-1.0, 1.0\]"),
         ({"hold": (0.0, np.inf)}, "contact.hold"),
         ({"rate": (np.nan, 1.0)}, "contact.rate"),
         ({"radius": (0.0, 1.0)}, "contact.radius"),
@@ -316,7 +316,7 @@ def test_a_share_of_the_contacts_pulls(surface):
         first, same = ours[0], theirs[0]
         assert np.array_equal(np.abs(first.direction), np.abs(same.direction))
         assert (first.peak, first.onset, first.rate) == (same.peak, same.onset, same.rate)
-    with pytest.raises(InputError, match="contact.pull = 1.5 must be a share"):
+    with pytest.raises(InputError, match="contact.pull = 1.5 must be from 0 to 1"):
         replace(RANGES, pull=1.5)
 
 

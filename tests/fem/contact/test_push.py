@@ -44,8 +44,8 @@ def test_a_push_may_name_a_part_or_a_point_and_a_direction():
     "wrong, named",
     [
         ({"at": "side"}, "push at 'side'"),
-        ({"radius": 0.0}, "radius 0.0"),
-        ({"ramp": np.nan}, "ramp nan"),
+        ({"radius": 0.0}, "radius = 0.0"),
+        ({"ramp": np.nan}, "ramp = nan"),
         ({"direction": (0, 0, 0)}, "no direction"),
         ({"at": (1.0, 2.0)}, "at"),
         ({"force": "hard"}, "force = 'hard'"),

@@ -66,7 +66,7 @@ def test_every_interaction_of_the_hard_set_is_hard():
         assert chosen.hard_force == (1.3, 1.6)
     other = replace(scene(), interactions=chosen)
     assert config.build(Scene, tomllib.loads(other.toml())) == other
-    with pytest.raises(InputError, match="interactions.hard_set = -1 must not be negative"):
+    with pytest.raises(InputError, match="interactions.hard_set = -1 must be from 0"):
         Interactions(1, 2, 1, 4, hard_set=-1)
 
 

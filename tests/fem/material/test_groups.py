@@ -91,7 +91,7 @@ def test_every_law_takes_groups(law, changes, name, expected):
     [
         ({"stiff": {"muu": 1.0}}, "unknown key 'material.stiff.muu'; the nearest .*stiff.mu'"),
         ({"stiff": {"mu": "hard"}}, "material.stiff.mu = 'hard' must be a number"),
-        ({"stiff": {"mu": -1.0}}, "cell group 'stiff': material.mu = -1.0 Pa must be positive"),
+        ({"stiff": {"mu": -1.0}}, "material.stiff.mu = -1.0 must be from 0.001 to .* Pa"),
         ({"stiff": {"prony": []}}, "material.stiff.prony has no meaning, for all cells share it"),
         ({"stiff": {"kind": "ogden"}}, "material.stiff.kind has no meaning"),
         ({"stiff": 3.0}, "unknown key 'material.stiff'"),
@@ -118,7 +118,7 @@ def test_ogden_groups_share_number_and_exponents_of_the_terms():
     law = Ogden(((40.0, 8.0), (-60.0, -4.0)), 0.42, 1000.0)
     with pytest.raises(InputError, match="material.stiff.terms has 1 entries; give 2"):
         check_groups(law, {"stiff": {"terms": [[40.0, 8.0]]}})
-    with pytest.raises(InputError, match="exponents that differ from cell to cell"):
+    with pytest.raises(InputError, match="material.terms = .* must be a list of pairs of numbers"):
         by_cells(law, MESH, check_groups(law, {"stiff": {"terms": [[40.0, 6.0], [-60.0, -4.0]]}}))
 
 

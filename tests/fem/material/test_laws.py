@@ -228,7 +228,7 @@ def test_one_value_a_cell(law):
         (lambda: MooneyRivlin(100.0, -100.0, 0.42, 1000.0), r"c10 \+ c01 = 0.0"),
         (lambda: MooneyRivlin(100.0, 0.0, 0.5, 1000.0), "nu = 0.5"),
         (lambda: Ogden((), 0.42, 1000.0), "terms is empty"),
-        (lambda: Ogden(((400.0, 0.0),), 0.42, 1000.0), r"\(400.0, 0.0\)"),
+        (lambda: Ogden(((400.0, 0.0),), 0.42, 1000.0), "exponent a = 0"),
         (lambda: Ogden(((400.0, -2.0),), 0.42, 1000.0), "mu = sum m a / 2 = -400.0"),
         (lambda: Ogden(((400.0, 2.0),), 0.42, -1.0), "density = -1.0"),
     ],

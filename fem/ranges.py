@@ -1,0 +1,116 @@
+"""The numbers that a setting may take, said once beside its field; the messages come from there.
+
+    mass_scaling: float = number(1e-3, 1e8, default=1.0)
+    radius: tuple[float, float] = number(1e-6, 1.0, "m", ascending=True)
+    prony: tuple[tuple[float, float], ...] = numbers(Range(1e-9, 1), Range(1e-9, 1e9, "s"))
+
+A number without a range of its own must be finite and below 1e15.
+"""
+
+import dataclasses
+import reprlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fem.errors import InputError
+
+
+@dataclass(frozen=True)
+class Range:
+    """From `low` to `high`, both included; a range of infinite ends takes infinity, none takes NaN.
+
+    ascending: of several numbers none may be below the one before.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+    ascending: bool = False
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        if self.high == np.inf:
+            return f"at least {_text(self.low)}{unit}"
+        return f"from {_text(self.low)} to {_text(self.high)}{unit}"
+
+
+ANY = Range(-1e15, 1e15)
+KEY = "range"  # in the metadata of a field
+_SHORT = reprlib.Repr()
+_SHORT.maxlist = _SHORT.maxtuple = 6
+_SHORT.maxother = 60
+
+
+def number(
+    low: float, high: float, unit: str = "", *, ascending: bool = False, **options: Any
+) -> Any:
+    """A dataclass field whose numbers, one or several, lie from `low` to `high`; options: of
+    dataclasses.field."""
+    return dataclasses.field(metadata={KEY: Range(low, high, unit, ascending)}, **options)
+
+
+def numbers(*columns: Range, **options: Any) -> Any:
+    """A dataclass field of rows of numbers, each column with a Range of its own."""
+    return dataclasses.field(metadata={KEY: columns}, **options)
+
+
+def check_fields(settings: Any, where: str = "") -> None:
+    """Raises InputError for a number of the dataclass `settings` outside the range of its field.
+
+    where: name of its table, for messages.
+    """
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name, None)
+        if isinstance(value, (int, float, tuple, list, np.ndarray, np.generic)):
+            name = f"{where}.{field.name}" if where else field.name
+            check(name, value, field.metadata.get(KEY, ANY))
+
+
+def check(name: str, value: Any, allowed: Range | tuple[Range, ...]) -> None:
+    """Raises InputError unless the number `value`, or each of a list or array of them, is allowed;
+    texts and flags are left to others."""
+    if isinstance(allowed, tuple):
+        for i, row in enumerate(value):
+            for column, (item, own) in enumerate(zip(row, allowed, strict=True), 1):
+                if not _holds(item, own):
+                    raise InputError(
+                        f"{name}[{i}] = {shown(row)} must have number {column} {own};"
+                        " leave the row out to switch it off"
+                    )
+    elif not _holds(value, allowed):
+        if isinstance(value, np.ndarray) or np.ndim(value) and len(value) > 3:
+            wrong = next(i for i, item in enumerate(value) if not _holds(item, allowed))
+            name, value = f"{name}[{wrong}]", value[wrong]
+        several = "numbers " if np.ndim(value) else ""
+        raise InputError(f"{name} = {shown(value)} must be {several}{allowed}")
+    elif allowed.ascending and (np.diff(value) < 0).any():
+        raise InputError(f"{name} = {shown(value)} must be numbers from low to high")
+
+
+def shown(value: Any) -> str:
+    """`value` on one short line, for messages."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, tuple):
+        value = [item.tolist() if isinstance(item, np.ndarray) else item for item in value]
+    return " ".join(_SHORT.repr(value).split())
+
+
+def _holds(value, allowed):
+    if isinstance(value, (str, bool, np.bool_)) or value is None:
+        return True
+    if isinstance(value, (tuple, list)):
+        return all(_holds(item, allowed) for item in value)
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind not in "fiu" or bool(
+            np.all((value >= allowed.low) & (value <= allowed.high))
+        )
+    if isinstance(value, (int, float, np.number)):
+        return bool(allowed.low <= value <= allowed.high)
+    return True
+
+
+def _text(end):
+    return str(end) if isinstance(end, int) else f"{end:g}"
