@@ -36,6 +36,11 @@ COMMANDS = {
         (["none.tflite", "none.h5"], "none"),
         (["none.tflite", "none.h5", "--rate", "0"], "error: "),
     ],
+    "tools/ablation.py": [
+        (["--seeds", "-1"], "--seeds"),
+        (["--threads", "0"], "--threads 0"),
+        (["epochs"], "'epochs' is no key=value"),
+    ],
     "tools/benchmark.py": [(["runs/none"], "runs/none")],
     "tools/benchmark_fem.py": [],
     "tools/draw_contacts.py": [(["none.toml", "a.png"], "none.toml")],

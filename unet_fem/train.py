@@ -15,7 +15,7 @@ from fem.errors import InputError
 from fem.former import moved
 from fem.lazy import callable_module
 from fem.locks import lock
-from unet_fem.networks.registry import network
+from unet_fem.training.inputs import keep_input, run_input
 from unet_fem.training.run import ensure_dataset, prepare_folder, vet
 from unet_fem.training.samples import scales, training_samples
 from unet_fem.training.settings import QUICK, Settings, load_settings
@@ -30,13 +30,15 @@ def train(settings: Settings, resume: bool = False) -> dict:
     """
     vet(settings, resume)
     dataset = ensure_dataset(settings)
-    samples = training_samples(dataset, settings.model.window)
+    field = run_input(settings, dataset)
+    samples = training_samples(dataset, settings.model.window, field)
     scales(samples[0])  # refuses forces that are all zero
     with lock(settings.folder):
         prepare_folder(settings, dataset, resume)
+        keep_input(settings, dataset, field)
         from unet_fem.training.fit import train_run  # brings Keras, no refusal has to wait for it
 
-        return train_run(settings, dataset, samples)
+        return train_run(settings, dataset, samples, field)
 
 
 callable_module(__name__, train)
@@ -73,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> dict:
         ) from None
     folder = settings.folder
     where = f"\nfigures: {folder / 'figures'}   metrics: {folder / 'metrics.json'}"
-    if network(settings.model.kind).fitter:
+    if settings.fitted:
         print(where + f"   stepper: {folder / 'regression.npz'}")
     else:
         print(where + f"   curves: tensorboard --logdir {folder / 'tensorboard'}")

@@ -68,6 +68,16 @@ class Creep:
         kept = order[weights[order] > 1e-12 * weights.sum()]
         return cls(tuple((float(weights[k]), float(times[k])) for k in kept))
 
+    @classmethod
+    def from_array(cls, terms: np.ndarray) -> "Creep":
+        """That of the terms (K, 2), see `array`."""
+        return cls(tuple((float(weight), float(time)) for weight, time in terms))
+
+    @property
+    def array(self) -> np.ndarray:
+        """The terms as an array (K, 2), for a file."""
+        return np.array(self.terms, float).reshape(-1, 2)
+
     def __call__(self, t: np.ndarray | float) -> np.ndarray:
         """D at t seconds after the force came, of the shape of t."""
         t = np.asarray(t, float)

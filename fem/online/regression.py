@@ -5,21 +5,29 @@
     quadratic   u = sum_k (W f + Q f^2)_k phi_k
 
 with phi_k the modes of the training displacements (proper orthogonal decomposition). There is no
-intercept: no force moves nothing. unet_fem.networks.pod fits the weights.
+intercept: no force moves nothing. unet_fem.networks.pod fits the weights; fem.data.elastic takes
+those of the linear elastic answer from the stiffness at rest.
+
+f is the force of the window's frames, or, with the terms of a creep function, the force as creeping
+tissue remembers it (fem.online.creep): a stepper of such a regression keeps that memory.
 """
 
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fem.errors import InputError
 from fem.files import save_arrays
+from fem.online.creep import Creep, CreepFilter
 from fem.online.grid import NodeGrid
 from fem.online.window import WindowStepper
 
-FORMAT = "unet-fem regression 1"
+FORMAT = "unet-fem regression 2"
+FORMAT_1 = "unet-fem regression 1"  # without creep and elastic, and still written where it has none
 REMEDY = "make one with python -m unet_fem.train model.kind=linear name=linear"
 
 
@@ -32,6 +40,9 @@ class Regression:
     mm/mN^2, or None without quadratic terms. q is three times the free nodes.
     steps: frames of the window, None without a time axis. interval: s between frames, if known.
     index: (N,) places of a mesh's nodes on the grid; None for all nodes of the grid.
+    creep: (K, 2) weights and times in s of a fem.online.creep.Creep, if the window is of remembered
+    forces. elastic: the weights are those of the stiffness, and other forces than those on `active`
+    and on fixed nodes are refused.
     Raises InputError for arrays that do not fit each other.
     """
 
@@ -43,6 +54,8 @@ class Regression:
     steps: int | None = None
     interval: float | None = None
     index: np.ndarray | None = None
+    creep: np.ndarray | None = None
+    elastic: bool = False
 
     def __post_init__(self) -> None:
         inputs, outputs = len(self.active), 3 * int(self.mask.sum())
@@ -65,6 +78,16 @@ class Regression:
                 f"active names component {self.active.max()} of a window with {size};"
                 " fit the regression again"
             )
+        if self.creep is not None and (self.creep.shape[1:] != (2,) or not (self.creep > 0).all()):
+            raise InputError(
+                f"creep is of shape {self.creep.shape} and holds {self.creep.min(initial=1):g};"
+                " give a positive weight and time of each term"
+            )
+
+    def remembering(self, creep: Creep) -> "Regression":
+        """This regression on forces that are remembered by `creep`; on those of the moment where it
+        has no terms."""
+        return replace(self, creep=creep.array if creep.terms else None)
 
     @property
     def input_shape(self) -> tuple[int | None, ...]:
@@ -81,6 +104,8 @@ class Regression:
     @property
     def family(self) -> str:
         """What it is called."""
+        if self.elastic:
+            return "elastic"
         if self.modes is None:
             return "linear"
         return "POD" if self.squares is None else "POD + quadratic"
@@ -91,8 +116,10 @@ class Regression:
         return sum(a.size for a in (self.kernel, self.modes, self.squares) if a is not None)
 
     def predict(self, force: np.ndarray) -> np.ndarray:
-        """Displacement (S, nx, ny, nz, 3) float32 mm from force windows (S, [T,] nx, ny, nz, 3)
-        mN."""
+        """Displacement (S, nx, ny, nz, 3) float32 mm from windows (S, [T,] nx, ny, nz, 3) mN of
+        forces, remembered ones if it is of those. Raises InputError as `check_loads` does.
+        """
+        self.check_loads(force)
         f = force.reshape(len(force), -1)[:, self.active]
         u = f @ self.kernel
         if self.squares is not None:
@@ -105,11 +132,35 @@ class Regression:
 
     __call__ = predict
 
+    def check_loads(self, force: np.ndarray) -> None:
+        """Raises InputError where it is elastic and some of the forces (S, ..., nx, ny, nz, 3) act
+        on a free node outside `active`."""
+        if not self.elastic:
+            return
+        elsewhere = force.reshape(len(force), -1)[:, self._unknown]
+        if elsewhere.any():
+            component = self._unknown[np.argwhere(elsewhere)[0, 1]]
+            node = np.unravel_index(component // 3, self.mask.shape)
+            raise InputError(
+                f"a force acts on node {tuple(map(int, node))} of the grid, which is not on the"
+                " contact surface that the elastic answer is known for; leave it out"
+            )
+
+    @cached_property
+    def _unknown(self):
+        """Components of the force on free nodes that are not active."""
+        free = np.repeat(self.mask.ravel(), 3)
+        free[self.active] = False
+        return np.flatnonzero(free)
+
     def save(self, path: Path | str) -> None:
         """Write it to `path` (.npz), at once or not at all."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
         known = {name: value for name, value in arrays.items() if value is not None}
-        save_arrays(path, format=FORMAT, **known)
+        if not known["elastic"]:
+            del known["elastic"]
+        new = known.keys() & {"creep", "elastic"}
+        save_arrays(path, format=FORMAT if new else FORMAT_1, **known)
 
     @classmethod
     def load(cls, path: Path | str) -> "Regression":
@@ -117,14 +168,10 @@ class Regression:
         another's."""
         if not Path(path).is_file():
             raise InputError(f"no regression {path}; {REMEDY}")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-        except (zipfile.BadZipFile, ValueError, EOFError, OSError, TypeError):
-            arrays = {}
-        if str(arrays.pop("format", None)) != FORMAT:
+        arrays = read_arrays(path)
+        if str(arrays.pop("format", None)) not in (FORMAT, FORMAT_1):
             raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
-        for name, kind in (("steps", int), ("interval", float)):
+        for name, kind in (("steps", int), ("interval", float), ("elastic", bool)):
             if name in arrays:
                 arrays[name] = kind(arrays[name])
         try:
@@ -133,11 +180,31 @@ class Regression:
             raise InputError(f"{path} is damaged ({error}); {REMEDY}") from None
 
 
+def read_arrays(path: Path | str) -> dict[str, Any]:
+    """The arrays of an .npz file; none of one that is not whole."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError, TypeError):
+        return {}
+
+
 class RegressionStepper(WindowStepper):
-    """A Regression as a Stepper."""
+    """A Regression as a Stepper; it keeps the memory of one on remembered forces."""
 
     def __init__(self, regression: Regression) -> None:
-        super().__init__(regression, regression.grid, regression.steps, regression.interval)
+        self._regression, memory = regression, None
+        if regression.creep is not None:
+            shape = (*regression.mask.shape, 3)
+            memory = CreepFilter(Creep.from_array(regression.creep), shape)
+        super().__init__(regression, regression.grid, regression.steps, regression.interval, memory)
+
+    def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
+        """As WindowStepper.step. Raises InputError also as Regression.check_loads does."""
+        if self._regression.elastic:
+            nodal = self.grid.is_nodal(np.asarray(force))
+            self._regression.check_loads((self.grid.to_grid(force) if nodal else force)[None])
+        return super().step(force, dt)
 
     @classmethod
     def open(cls, path: Path | str) -> "RegressionStepper":

@@ -35,7 +35,7 @@ def test_a_file_is_opened_by_its_kind(tmp_path):
 def test_an_object_is_taken_by_its_kind():
     assert isinstance(stepper("regression", regression()), RegressionStepper)
     assert isinstance(stepper("keras", unet(GRID, 1)), KerasStepper)
-    known = "keras, litert, regression, reduced, fem"
+    known = "keras, litert, regression, reduced, elastic, fem"
     with pytest.raises(InputError, match=f"'modal' is not one of {known}"):
         stepper("modal")
 

@@ -11,10 +11,12 @@ import tensorflow as tf
 
 from fem.data.dataset import Dataset
 from fem.online.grid import NodeGrid
+from fem.online.input_field import InputField
 from fem.online.stepper import Stepper
 from fem.online.window import WindowStepper
 from unet_fem.deployment.exported import lite_files, model_file
 from unet_fem.networks.files import load_model
+from unet_fem.networks.layers import check_input
 from unet_fem.networks.stepper import KerasStepper
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.training.settings import Settings
@@ -35,13 +37,16 @@ def forms(
     files = lite_files(settings)
     return {
         CALL: lambda: KerasStepper.open(path, interval),
-        GRAPH: lambda: graph_stepper(load_model(path), interval),
+        GRAPH: lambda: graph_stepper(load_model(path), interval, InputField.beside(path)),
     } | {variant: partial(Surrogate, file, threads) for variant, file in files.items()}
 
 
-def graph_stepper(model: keras.Model, interval: float | None = None) -> WindowStepper:
+def graph_stepper(
+    model: keras.Model, interval: float | None = None, field: InputField | None = None
+) -> WindowStepper:
     """A Stepper that calls a Keras model as one graph: what is paid for Python's call of every
-    layer is gone."""
+    layer is gone. field: what the model sees in place of the forces."""
+    check_input(model, field)
     graph = tf.function(lambda window: model(window, training=False))
     *window, nx, ny, nz, _ = model.input_shape[1:]
     nodes = NodeGrid((nx, ny, nz), np.arange(math.prod((nx, ny, nz))))
@@ -50,4 +55,5 @@ def graph_stepper(model: keras.Model, interval: float | None = None) -> WindowSt
         nodes,
         window[0] if window else None,
         interval,
+        field,
     )

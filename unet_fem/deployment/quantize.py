@@ -17,7 +17,8 @@ from unet_fem.deployment.tflite_graph import audit
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.files import load_model
 from unet_fem.runtime.surrogate_file import write_surrogate
-from unet_fem.training.samples import windows
+from unet_fem.training.inputs import run_input
+from unet_fem.training.samples import load_samples
 from unet_fem.training.settings import Settings
 
 
@@ -44,9 +45,12 @@ def quantize(
     test = dataset.read("test")
     force, hard = test["force"], np.repeat(test["hard"], test["force"].shape[1])
     truth = test["displacement"].reshape(-1, *force.shape[2:])
-    shown = calibration_windows(windows(dataset.read("train")["force"], steps), count, margin)
-    keras = model.predict(windows(force, steps), batch_size=16, verbose=0)
-    about = surrogate_facts(dataset)
+    field = run_input(settings, dataset)
+    train = load_samples(dataset, "train", steps, field)
+    shown = calibration_windows(train.input, count, margin)
+    seen = load_samples(dataset, "test", steps, field).input
+    keras = model.predict(seen, batch_size=16, verbose=0)
+    about = surrogate_facts(dataset, field)
     figures: dict[str, dict] = {"keras": _against_fem(keras, truth, hard)}
     print("variant        MB  against Keras: L2 %  worst %  against FEM: L2 %  hard %", flush=True)
     print(_row("keras", figures["keras"]), flush=True)
@@ -70,7 +74,7 @@ def quantize(
         operators = sorted(figures[variant]["operators"].items())
         print(f"{variant}: " + ", ".join(f"{count} {name}" for name, count in operators))
     if layers:
-        _add_layers(figures, files, windows(force, steps))
+        _add_layers(figures, files, seen)
     write_text(settings.folder / "quantization.json", json.dumps(figures, indent=1))
     return path.parent
 

@@ -19,6 +19,7 @@ from unet_fem.networks.registry import network
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.runtime.surrogate_file import write_surrogate
 from unet_fem.training.fit import build_loss, compile_model, fit, targets
+from unet_fem.training.inputs import keep_input, run_input
 from unet_fem.training.judge import error_metrics, predict
 from unet_fem.training.precision import precision
 from unet_fem.training.run import prepare_folder
@@ -46,6 +47,7 @@ def smaller_run(
     model = load_model(parent)
     small = _smaller_settings(settings, model, share, by_filters, epochs, learning_rate)
     prepare_folder(small, dataset, resume=(small.folder / "config.toml").is_file())
+    keep_input(small, dataset, run_input(settings, dataset))
     done = small.folder / "pruned"
     if done.is_file():
         if done.stat().st_mtime < parent.stat().st_mtime:
@@ -77,9 +79,7 @@ def _smaller_settings(settings, model, share, by_filters, epochs, learning_rate)
 
 
 def _thin_and_tune(model, small, dataset):
-    train, validation = (
-        load_samples(dataset, split, small.model.window) for split in ("train", "validation")
-    )
+    train, validation = (_samples(small, dataset, split) for split in ("train", "validation"))
     with precision(small.train.precision):
         slim = thin(model, small.model)
         compile_model(slim, small, dataset, -(-len(train) // small.train.batch_size))
@@ -89,12 +89,12 @@ def _thin_and_tune(model, small, dataset):
 def _prune_and_tune(model, small, dataset, share):
     from unet_fem.deployment.pruning import magnitude_prune  # brings a second Keras
 
-    train, tuning = load_samples(dataset, "train", small.model.window), small.train
+    train, tuning = _samples(small, dataset, "train"), small.train
     magnitude_prune(
         model,
         small.model,
         share,
-        train.force,
+        train.input,
         targets(train, small),
         build_loss(small, dataset),
         epochs=tuning.epochs,
@@ -108,7 +108,7 @@ def _prune_and_tune(model, small, dataset, share):
 def measure(settings: Settings, dataset: Dataset) -> dict[str, float]:
     """Errors and sizes of one run; its surrogates are written beside."""
     model = load_model(model_file(settings))
-    test = load_samples(dataset, "test", settings.model.window)
+    test = _samples(settings, dataset, "test")
     prediction, volume = predict(model, test, dataset)
     hard = test.hard
     judged = {
@@ -124,14 +124,20 @@ def measure(settings: Settings, dataset: Dataset) -> dict[str, float]:
         "parameters": model.count_params(),
         "zeros": sum(int((w == 0).sum()) for w in weights) / sum(w.size for w in weights),
     } | {name: metrics["relative_l2"] for name, metrics in judged.items()}
-    shown = calibration_windows(load_samples(dataset, "train", settings.model.window).force)
-    about = surrogate_facts(dataset)
+    shown = calibration_windows(_samples(settings, dataset, "train").input)
+    about = surrogate_facts(dataset, run_input(settings, dataset))
     for variant in VARIANTS:
         path, label = lite_file(settings, variant), f"{settings.name}: {variant}"
         write_surrogate(path, export(model, variant, shown), **about, label=label)
         figures[f"{variant}_MB"] = path.stat().st_size / 1e6
         figures[f"{variant}_zipped_MB"] = zipped_size(path) / 1e6
     return figures
+
+
+def _samples(settings, dataset, split):
+    """What the network of a run learns from and is judged on."""
+    field = run_input(settings, dataset)
+    return load_samples(dataset, split, settings.model.window, field)
 
 
 def zipped_size(path: Path) -> int:

@@ -22,6 +22,7 @@ import tensorflow as tf
 
 from fem.data.dataset import Dataset
 from fem.errors import InputError
+from fem.online.input_field import InputField
 from unet_fem.deployment.conv2d import reexpress
 from unet_fem.deployment.tflite_graph import (
     WEIGHTED,
@@ -30,6 +31,7 @@ from unet_fem.deployment.tflite_graph import (
     parts_of,
     quantize_float_weights,
 )
+from unet_fem.networks.layers import correction
 from unet_fem.runtime.surrogate import force_size
 
 VARIANTS = ("float32", "float16", "dynamic", "int8")
@@ -37,7 +39,8 @@ VARIANTS = ("float32", "float16", "dynamic", "int8")
 
 def export(model: keras.Model, variant: str, windows: np.ndarray | None = None) -> bytes:
     """The bytes of a .tflite file that maps one force window in mN, shape (1,
-    *model.input_shape[1:]), to mm.
+    *model.input_shape[1:]), to mm; of a model that corrects the elastic answer the window is of
+    that, in mm, and the correction alone comes out, so that no variant rounds the answer.
 
     variant: one of VARIANTS. windows: (S, [T,] nx, ny, nz, 3) mN, for int8 only, see
     `calibration_windows`. Raises InputError for a layer that has no 2-D expression, and for int8
@@ -50,7 +53,7 @@ def export(model: keras.Model, variant: str, windows: np.ndarray | None = None) 
             "full int8 is calibrated on force windows, and there are none but zeros;"
             " give training windows"
         )
-    flat = reexpress(model)
+    flat = reexpress(correction(model))
     signature = [tf.TensorSpec(flat.input_shape, "float32", name="force")]
     with quiet():
         traced = tf.function(flat, input_signature=signature).get_concrete_function()
@@ -126,8 +129,9 @@ def _calibrated(converter, windows):
         return debugger.get_nondebug_quantized_model()
 
 
-def surrogate_facts(dataset: Dataset) -> dict[str, Any]:
-    """What a surrogate's file says beside its graph, from a fem.data.dataset.Dataset: see
+def surrogate_facts(dataset: Dataset, field: InputField | None = None) -> dict[str, Any]:
+    """What a surrogate's file says beside its graph, from a fem.data.dataset.Dataset and what the
+    network sees in place of the forces: see
     unet_fem.runtime.surrogate_file.write_surrogate."""
     points, faces = dataset.surface
     index = dataset.fem_mesh.grid_index  # None where the mesh is embedded in the grid
@@ -139,6 +143,7 @@ def surrogate_facts(dataset: Dataset) -> dict[str, Any]:
         "mesh": mesh_digest(dataset),
         "interval": dataset.scene.frames.interval,
         "largest_force": force_size(dataset.read("train")["force"]),
+        "field": field,
     }
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import keras
 import numpy as np
 
+from unet_fem.networks.layers import seeing, seen_by
 from unet_fem.networks.registry import Options, network
 
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ def rebuild(model: keras.Model, options: Options, lib: ModuleType | None = None)
     scale = np.asarray(model.get_layer("displacement").scale, "float32")
     scales = 1 / float(model.get_layer("force_scaled").scale), float(np.abs(scale).max())
     mask = scale[..., 0] != 0 if scale.ndim else None
-    return network(options.kind).build(model.output_shape[1:4], options, scales, mask, lib)
+    built = network(options.kind).build(model.output_shape[1:4], options, scales, mask, lib)
+    return seeing(built, *seen_by(model), lib)
 
 
 def legacy_twin(model: keras.Model, options: Options) -> "tf_keras.Model":

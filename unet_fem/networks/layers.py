@@ -15,6 +15,7 @@ gives the same network in float32 throughout.
 """
 
 import json
+import math
 import re
 from types import ModuleType
 
@@ -23,6 +24,7 @@ import numpy as np
 import tensorflow as tf
 
 from fem.errors import InputError
+from fem.online.input_field import InputField
 
 
 def float32_twin(model: keras.Model) -> keras.Model:
@@ -51,6 +53,53 @@ def displacement_layer(
     by = scale if mask is None else scale * mask[..., None].astype("float32")
     last = (lib or keras).layers.Rescaling(by, dtype="float32", name="displacement")
     return last(x)  # (B, nx, ny, nz, 3)
+
+
+def seeing(
+    model: keras.Model, memory: bool, elastic: bool, lib: ModuleType | None = None
+) -> keras.Model:
+    """`model` on what stands in place of the force in its input, see
+    fem.online.input_field.InputField, which its name then tells: "_creep", "_elastic" behind it.
+
+    elastic: the input is an elastic answer in mm, and its last frame is added to what the model
+    gives, in a last layer without weights.
+    """
+    lib = lib or keras
+    name = model.name + "_creep" * memory + "_elastic" * elastic
+    if name == model.name:
+        return model
+    answer, last = model.output, model.input
+    if elastic:
+        if len(last.shape) == 6:  # as in the CNN-LSTM, a slice that can be deployed
+            steps, grid = last.shape[1], last.shape[2:]
+            last = reshape(last, (-1, steps, math.prod(grid)), lib)
+            last = lib.layers.Cropping1D((steps - 1, 0), dtype="float32", name="last_answer")(last)
+            last = lib.layers.Reshape(grid, dtype="float32", name="last_answer_grid")(last)
+        answer = lib.layers.Add(dtype="float32", name="corrected")([answer, last])
+    return lib.Model(model.input, answer, name=name)
+
+
+def seen_by(model: keras.Model) -> tuple[bool, bool]:
+    """(memory, elastic) of a model that `seeing` gave, or of any other."""
+    return "_creep" in model.name, model.name.endswith("_elastic")
+
+
+def check_input(model: keras.Model, field: InputField | None) -> None:
+    """Raises InputError unless `field` is of the kind that `model` was trained on."""
+    found = (False, False) if field is None else (bool(field.creep.terms), field.corrects)
+    if found != seen_by(model):
+        raise InputError(
+            f"the model '{model.name}' sees another input than it is given; open it where its run"
+            " has put it, beside its input.npz"
+        )
+
+
+def correction(model: keras.Model) -> keras.Model:
+    """Of a model that corrects the elastic answer the part that gives the correction; any other
+    itself."""
+    if not seen_by(model)[1]:
+        return model
+    return keras.Model(model.input, model.get_layer("displacement").output, name=model.name)
 
 
 def reshape(x: keras.KerasTensor, shape: tuple[int, ...], lib: ModuleType) -> keras.KerasTensor:

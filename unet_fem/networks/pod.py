@@ -25,11 +25,12 @@ predict = Regression.predict
 
 
 class Samples(Protocol):
-    """What is fitted to, such as unet_fem.training.samples.Samples: windows of force (S, [T,] nx,
-    ny, nz, 3) mN, and the displacement (S, nx, ny, nz, 3) mm of their last frames."""
+    """What is fitted to, such as unet_fem.training.samples.Samples: windows of forces, as they are
+    or remembered, (S, [T,] nx, ny, nz, 3) mN, and the displacement (S, nx, ny, nz, 3) mm of their
+    last frames."""
 
     @property
-    def force(self) -> np.ndarray: ...
+    def input(self) -> np.ndarray: ...
 
     @property
     def displacement(self) -> np.ndarray: ...
@@ -44,14 +45,14 @@ def linear(train: Samples, validation: Samples, mask: np.ndarray) -> Regression:
     mask (nx, ny, nz), the kernel is what `ridge.fit` gives, in float64 until it is kept. Raises
     InputError where all forces are zero.
     """
-    active = np.flatnonzero(train.force.any(axis=0))
+    active = np.flatnonzero(train.input.any(axis=0))
     if not active.size:
         raise InputError(f"all {len(train)} training forces are zero; give samples with contact")
     shown = [
         (_columns(samples, active), _free_nodes(samples, mask)) for samples in (train, validation)
     ]
     kernel, _ = ridge.fit(*shown[0], ridge.RIDGES, shown[1])
-    steps = train.force.shape[1] if train.force.ndim == 6 else None
+    steps = train.input.shape[1] if train.input.ndim == 6 else None
     return Regression(mask, active, kernel.astype("float32"), steps=steps)
 
 
@@ -108,7 +109,7 @@ def truncated(model: Regression, modes: int) -> Regression:
 
 
 def _columns(samples, active):
-    return samples.force.reshape(len(samples), -1)[:, active].astype(float)  # (S, p) mN
+    return samples.input.reshape(len(samples), -1)[:, active].astype(float)  # (S, p) mN
 
 
 def _free_nodes(samples, mask):

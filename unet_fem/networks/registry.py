@@ -96,6 +96,13 @@ class Pod(Linear):
     quadratic: bool = True
 
 
+@dataclass(frozen=True)
+class Elastic(Options):
+    """K^-1 f with the stiffness at rest: nothing is learned."""
+
+    kind: str = field(default="elastic", init=False)
+
+
 class Model(Protocol):
     """What a run makes: a Keras model or a Regression."""
 
@@ -116,6 +123,7 @@ class Network:
     displacement_scale=, mask=, lib=, **own settings).
     fitter: of a Regression in closed form, in place of a builder: fitter(train, validation, mask,
     **own settings but steps, which the samples' windows show).
+    maker: of a Regression from a fem.data.dataset.Dataset alone, in place of both: maker(dataset).
     thinner: puts the weightiest part of a model into a smaller one, thinner(model, small). size:
     name of the setting that makes it smaller.
     """
@@ -124,6 +132,7 @@ class Network:
     options: type[Options]
     builder: Reference | None = None
     fitter: Reference | None = None
+    maker: Reference | None = None
     thinner: Reference | None = None
     size: str | None = None
 
@@ -154,6 +163,11 @@ class Network:
         own = {name: value for name, value in options.own().items() if name != "steps"}
         return resolve(self.fitter)(train, validation, mask, **own)
 
+    @property
+    def fitted(self) -> bool:
+        """Whether it is a Regression, which no training makes."""
+        return self.builder is None
+
     def thin(self, model: "keras.Model", small: "keras.Model") -> None:
         """Give `small`, a model of this kind with less of `size`, the weightiest part of
         `model`."""
@@ -179,6 +193,7 @@ NETWORKS = {
     ),
     "linear": Network("linear regression", Linear, fitter="unet_fem.networks.pod:linear"),
     "pod": Network("POD regression", Pod, fitter="unet_fem.networks.pod:pod"),
+    "elastic": Network("linear elastic answer", Elastic, maker="fem.data.elastic:elastic_answer"),
 }
 
 

@@ -16,6 +16,7 @@ from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
 from fem.online.grid import NodeGrid
+from fem.online.input_field import InputField
 from fem.online.stepper import State, check_interval
 from fem.online.volume import VOLUME_BAND, QuadVolume
 from unet_fem.runtime.surrogate_file import read_surrogate
@@ -36,6 +37,10 @@ class Surrogate:
     every call of `step` is one frame later than the one before. With `rate` in Hz calls come 1 /
     rate seconds apart: each is answered for now, from the forces now, one window interval ago, two
     ago ... which a ring of the recent calls holds. `interval` is what is between two calls.
+
+    A network on remembered forces or on the elastic answer (see fem.online.input_field) gets them
+    made here, call by call: the ring and the window then hold these, and the memory is part of the
+    state.
 
     grid: (nx, ny, nz). nodes: the NodeGrid of the mesh's nodes in it, and points (N, 3) mm where
     they are; both None for a file of format 1 or a mesh that is embedded in the grid, which take
@@ -66,6 +71,10 @@ class Surrogate:
         self.steps = self._open(threads)
         self._stride = self._calls_an_interval(rate) if self.steps > 1 else 1
         self.interval: float | None = self.window_interval if rate is None else 1 / rate
+        self._field = None
+        if "input_creep" in about:
+            own = {name.removeprefix("input_"): array for name, array in about.items()}
+            self._field = InputField.of(own, self.mask)
         field = (*self.grid, 3)
         self._recent = np.zeros(
             (self._stride * (self.steps - 1) + 1, *field), "float32"
@@ -115,6 +124,8 @@ class Surrogate:
         """Back to rest: no force in the past."""
         self._recent[:] = 0
         self._newest = 0
+        if self._field:
+            self._field.reset()
         self._clear_flags()
 
     def _clear_flags(self):
@@ -138,6 +149,8 @@ class Surrogate:
         now = self._recent[newest]
         np.copyto(now, self._layout.to_grid(force) if nodal else force, casting="unsafe")
         size = self._force_size(now.reshape(-1, 3))
+        if self._field:
+            now[:] = self._field.step(now, self.interval or self.window_interval)
         self._newest = newest
         self._judge_force(*size)
         window = self._window()
@@ -150,6 +163,8 @@ class Surrogate:
         self._interpreter.invoke()
         answer = np.empty(now.shape, "float32") if out is None or nodal else out
         np.copyto(answer, self._displacement()[0])
+        if self._field and self._field.corrects:
+            answer += now
         self._judge_volume(answer)
         if not nodal:
             return answer
@@ -160,9 +175,11 @@ class Surrogate:
         return out
 
     def state(self) -> State:
-        """{"forces": (calls, nx, ny, nz, 3) float32 mN}: those of the recent calls that the next
-        answer may depend on, oldest first."""
-        return {"forces": np.roll(self._recent, -self._newest - 1, axis=0)[1:]}
+        """{"forces": (calls, nx, ny, nz, 3) float32 mN}: those of the recent calls, or what is seen
+        in their place, that the next answer may depend on, oldest first; and beside it the memory
+        of remembered forces."""
+        forces = np.roll(self._recent, -self._newest - 1, axis=0)[1:]
+        return {"forces": forces} | (self._field.state() if self._field else {})
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave; a surrogate of the same grid, window and rate will do.
@@ -170,11 +187,14 @@ class Surrogate:
         forces = np.asarray(state.get("forces"))
         past = self._recent[1:]
         fits = (forces.shape, forces.dtype) == (past.shape, past.dtype)
-        if state.keys() != {"forces"} or not fits or not np.isfinite(forces).all():
+        memory = self._field.state().keys() if self._field else set()
+        if state.keys() != {"forces", *memory} or not fits or not np.isfinite(forces).all():
             raise InputError(
                 f"this is not the state of a surrogate with the window of {self.path}"
                 f" called every {self.interval:g} s; restore what its own state() gave"
             )
+        if self._field:
+            self._field.restore(state)
         past[:] = forces
         self._newest = len(past)
         self._clear_flags()

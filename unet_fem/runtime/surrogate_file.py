@@ -1,21 +1,24 @@
 """The file of a surrogate: a .tflite with normalisation and mask in its graph, and behind it, as a
 zip archive of NumPy arrays, what the graph does not say.
 
-Format 2 holds all that `write_surrogate` takes. Format 1 lacks the nodes' places in the grid, the
-mesh's digest and the label; it opens, but its surrogate takes forces on the grid alone.
+Format 3 holds all that `write_surrogate` takes. Format 2 lacks what the network sees in place of
+the forces, and is written where it sees the forces. Format 1 lacks also the nodes' places in the
+grid, the mesh's digest and the label; it opens, but its surrogate takes forces on the grid alone.
 """
 
 import io
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fem.errors import InputError
 from fem.files import write_bytes
+from fem.online.input_field import InputField
 
-FORMAT, FORMAT_1 = "unet-fem surrogate 2", "unet-fem surrogate 1"
+FORMAT, FORMAT_2, FORMAT_1 = (f"unet-fem surrogate {number}" for number in (3, 2, 1))
 LARGEST = 2**28  # bytes that the arrays of one file may take in memory
 
 
@@ -31,6 +34,7 @@ def write_surrogate(
     interval: float,
     largest_force: tuple[float, float],
     label: str = "",
+    field: InputField | None = None,
 ) -> None:
     """Write a surrogate to `path`, at once or not at all.
 
@@ -40,12 +44,16 @@ def write_surrogate(
     faces: (M, 4) grid nodes of the boundary quads, counter-clockwise seen from outside. mesh: a
     digest that tells this mesh from others. interval: s between the frames of a force window.
     largest_force: (total, nodal) mN seen in training, see unet_fem.runtime.surrogate.force_size.
-    label: for people, such as "paper: int8".
+    label: for people, such as "paper: int8". field: what the network sees in place of the forces;
+    to an elastic answer in it what the graph gives is added.
     """
+    seen: dict[str, Any] = {}
+    if field:
+        seen = {f"input_{name}": array for name, array in field.arrays().items()}
     archive = io.BytesIO()
     np.savez_compressed(
         archive,
-        format=FORMAT,
+        format=FORMAT if seen else FORMAT_2,
         mask=mask,
         index=index,
         points=points,
@@ -54,6 +62,7 @@ def write_surrogate(
         interval=float(interval),
         largest_force=np.asarray(largest_force, float),
         label=label,
+        **seen,
     )
     write_bytes(path, model + archive.getvalue())
 
@@ -68,12 +77,13 @@ def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
         raise InputError(f"no surrogate {path}; make it with python tools/quantize.py runs/<name>")
     arrays = _arrays(path)
     found = str(arrays.get("format", "unknown"))
-    if found not in (FORMAT, FORMAT_1):
+    if found not in (FORMAT, FORMAT_2, FORMAT_1):
         raise InputError(
-            f"{path} is not a '{FORMAT}' file (format: {found}), and this version opens no"
-            f" other but '{FORMAT_1}'; make one with python tools/quantize.py runs/<name>"
+            f"{path} is not a '{FORMAT}' file (format: {found}), and this version opens no others"
+            f" but '{FORMAT_2}' and '{FORMAT_1}';"
+            " make one with python tools/quantize.py runs/<name>"
         )
-    if not _whole(arrays, found == FORMAT):
+    if not _whole(arrays, found != FORMAT_1) or not _input_whole(arrays, found == FORMAT):
         raise InputError(
             f"{path} is damaged: its arrays are incomplete or do not fit each other;"
             " make it again with python tools/quantize.py runs/<name>"
@@ -120,6 +130,26 @@ def _whole(arrays: dict[str, np.ndarray], with_nodes: bool) -> bool:
         and 0 < interval < np.inf
         and (largest.dtype.kind, largest.shape) == ("f", (2,))
         and (not with_nodes or _nodes(arrays["index"], mask.size))
+    )
+
+
+def _input_whole(arrays: dict[str, np.ndarray], with_input: bool) -> bool:
+    """Whether what is seen in place of the forces is there, in shapes that fit; the weights
+    themselves are judged by InputField.of."""
+    if not with_input:
+        return True
+    creep, kernel = arrays.get("input_creep"), arrays.get("input_kernel")
+    if creep is None or creep.dtype.kind != "f" or creep.shape[1:] != (2,):
+        return False
+    if not (creep > 0).all() or kernel is None and not len(creep):
+        return False
+    if kernel is None:
+        return True
+    active = arrays.get("input_active", np.empty(0))
+    return bool(
+        _places(active, 3 * arrays["mask"].size)
+        and (kernel.dtype.kind, kernel.shape) == ("f", (len(active), 3 * int(arrays["mask"].sum())))
+        and np.isfinite(kernel).all()
     )
 
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from fem.data.dataset import Dataset
+from fem.online.input_field import InputField
 from fem.online.regression import RegressionStepper
 from fem.online.stepper import Stepper
 from unet_fem.deployment.exported import files_there
@@ -60,7 +61,7 @@ def networks(
     threads, path = threads or os.cpu_count() or 1, settings.folder / "best.keras"
     interval = dataset.scene.frames.interval
     forms: dict[str, Callable[[], Stepper]] = {
-        KERAS: lambda: graph_stepper(load_model(path), interval),
+        KERAS: lambda: graph_stepper(load_model(path), interval, InputField.beside(path)),
         CALL: lambda: KerasStepper.open(path, interval),
     }
     for form, file in files_there(settings).items():

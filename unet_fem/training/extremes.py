@@ -11,6 +11,7 @@ from fem.data.dataset import Dataset
 from fem.data.fit import fit_frames
 from fem.errors import SolverStopped
 from fem.mesh.hexmesh import HexMesh
+from fem.online.input_field import InputField
 from fem.solver.load_ramp import NodalLoad
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.registry import Model
@@ -66,13 +67,18 @@ def fem_response(dataset: Dataset, load: NodalLoad) -> tuple[np.ndarray, np.ndar
     return *dataset.on_grid(frames.force, frames.displacement), frames.volume
 
 
-def judge_extremes(models: dict[str, Model], dataset: Dataset, steps: int | None) -> dict:
+def judge_extremes(
+    models: dict[str, Model],
+    dataset: Dataset,
+    steps: int | None,
+    field: InputField | None = None,
+) -> dict:
     """{case: {model: figures}} for {name: Keras model or Regression}; the FEM's entry says why it
     stopped where it did.
 
     relative_l2 is over the frames under load (None without motion), worst_mm the largest nodal
     error, and volume_violation_max the largest relative change of volume. steps: of the models'
-    window, or None.
+    window, or None; field: what they see in place of the forces.
     """
     mesh = dataset.fem_mesh
     rest = dataset.rest_volume
@@ -89,8 +95,11 @@ def judge_extremes(models: dict[str, Model], dataset: Dataset, steps: int | None
                 "volume_violation_max": float(np.abs(volume / volume[0] - 1).max()),
             }
         }
+        seen = force[None]
+        if field:
+            seen = field.sequences(seen, dataset.scene.frames.interval)
         for name, model in models.items():
-            prediction = np.asarray(model(windows(force[None], steps)))
+            prediction = np.asarray(model(windows(seen, steps)))
             moved = np.asarray(deformed_volume(prediction, *dataset.surface), float)
             result[case][name] = {
                 "relative_l2": relative_l2(prediction, truth),

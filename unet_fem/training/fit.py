@@ -10,6 +10,8 @@ import numpy as np
 
 from fem.data.dataset import Dataset
 from fem.errors import InputError
+from fem.online.input_field import InputField
+from unet_fem.networks.layers import seeing
 from unet_fem.networks.registry import network
 from unet_fem.training import losses
 from unet_fem.training import samples as data
@@ -28,7 +30,9 @@ def build_model(
     """The untrained network of `settings` for the grid of `dataset`; scales in mN and mm."""
     scales = force_scale, displacement_scale
     row = network(settings.model.kind)
-    return row.build(dataset.grid, settings.model, scales, dataset.free)
+    model = row.build(dataset.grid, settings.model, scales, dataset.free)
+    choice = settings.input
+    return seeing(model, choice.memory == "creep", choice.physics == "elastic")
 
 
 def build_loss(settings: Settings, dataset: Dataset) -> losses.Loss:
@@ -86,13 +90,13 @@ def fit(
     if first < choice.epochs:
         model.fit(
             data.batches(
-                train.force, targets(train, settings), choice.batch_size, choice.seed, first
+                train.input, targets(train, settings), choice.batch_size, choice.seed, first
             ),
             steps_per_epoch=steps,
             epochs=choice.epochs,
             initial_epoch=first,
             shuffle=False,
-            validation_data=(validation.force, targets(validation, settings)),
+            validation_data=(validation.input, targets(validation, settings)),
             validation_batch_size=choice.batch_size,
             callbacks=[
                 checkpoint,
@@ -113,12 +117,18 @@ def fit(
     return checkpoint.history
 
 
-def train_run(settings: Settings, dataset: Dataset, samples: tuple[Samples, Samples]) -> dict:
+def train_run(
+    settings: Settings,
+    dataset: Dataset,
+    samples: tuple[Samples, Samples],
+    field: InputField | None = None,
+) -> dict:
     """All that `settings` asks for on its dataset, into settings.folder, which
-    unet_fem.training.run has made. samples: for training and validation. Returns the metrics."""
-    if network(settings.model.kind).fitter:
+    unet_fem.training.run has made. samples: for training and validation. field: that the model sees
+    in place of the forces. Returns the metrics."""
+    if settings.fitted:
         print(f"fitting the {network(settings.model.kind).label}", flush=True)
-        fit_regression(dataset, settings.model, samples).save(model_file(settings))
+        fit_regression(dataset, settings.model, samples, field).save(model_file(settings))
     else:
         train_network(settings, dataset, *samples)
     return evaluate(settings, dataset)
@@ -135,13 +145,16 @@ def seed(number: int) -> None:
 def train_network(
     settings: Settings, dataset: Dataset, train: Samples, validation: Samples
 ) -> None:
-    """Train the network of `settings`, and fit the linear regression that it is compared with."""
+    """Train the network of `settings`, and fit the linear regression that it is compared with
+    unless it corrects the elastic answer."""
     started = time.monotonic()
     seed(settings.train.seed)
-    print("fitting the linear regression", flush=True)
-    linear_regression(settings, dataset, (train, validation))
+    corrects = settings.input.physics == "elastic"
+    if not corrects:
+        print("fitting the linear regression", flush=True)
+        linear_regression(settings, dataset, (train, validation))
     with precision(settings.train.precision):
-        model = build_model(settings, dataset, *data.scales(train))
+        model = build_model(settings, dataset, *data.scales(train, corrects))
         compile_model(model, settings, dataset, -(-len(train) // settings.train.batch_size))
         print(
             f"training {model.name}: {model.count_params():,} parameters, {len(train)} training and"

@@ -1,6 +1,7 @@
 """Errors and volume violation of trained models on unseen interactions."""
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,9 +11,10 @@ from fem.files import write_text
 from fem.online.regression import Regression
 from unet_fem.metrics import relative_l2_of_sums
 from unet_fem.networks.files import load_model
-from unet_fem.networks.registry import Linear, Model, network
+from unet_fem.networks.registry import Elastic, Linear, Model
 from unet_fem.training import figures
 from unet_fem.training.extremes import extremes_table, judge_extremes
+from unet_fem.training.inputs import keep_input, run_input
 from unet_fem.training.losses import deformed_volume
 from unet_fem.training.regressions import linear_regression
 from unet_fem.training.run import model_file
@@ -70,14 +72,14 @@ def predict(model: Model, samples: Samples, dataset: Dataset) -> tuple[np.ndarra
     """(displacement (S, nx, ny, nz, 3) mm, volume (S,) mm3) that `model` gives. Raises InputError
     if it is not finite."""
     takes = tuple(model.input_shape[1:])
-    if takes != samples.force.shape[1:]:
+    if takes != samples.input.shape[1:]:
         raise InputError(
-            f"the model takes force windows {takes}, the dataset gives {samples.force.shape[1:]}:"
+            f"the model takes force windows {takes}, the dataset gives {samples.input.shape[1:]}:"
             " it was trained on another grid or window; train again"
         )
     fields, volumes = [], []
     for start in range(0, len(samples), BATCH):
-        field = np.asarray(model(samples.force[start : start + BATCH]))
+        field = np.asarray(model(samples.input[start : start + BATCH]))
         if not np.isfinite(field).all():
             raise InputError(
                 "the model's prediction is not finite; its training has diverged:"
@@ -88,13 +90,27 @@ def predict(model: Model, samples: Samples, dataset: Dataset) -> tuple[np.ndarra
     return np.concatenate(fields), np.concatenate(volumes)
 
 
+@dataclass(frozen=True)
+class LastFrame:
+    """As a model: the last frame of its input, which is the elastic answer where that is seen."""
+
+    input_shape: tuple[int | None, ...]
+
+    def __call__(self, force: np.ndarray) -> np.ndarray:
+        """(S, nx, ny, nz, 3) of (S, [T,] nx, ny, nz, 3)."""
+        return force if force.ndim == 5 else force[:, -1]
+
+
 def competitors(settings: Settings, dataset: Dataset) -> dict[str, Model]:
-    """{name: model}: what the run has made, and the linear regression on the same window."""
+    """{name: model}: what the run has made, and the linear regression on the same window, or the
+    elastic answer that a network corrects."""
     kind = settings.model.kind
     models: dict[str, Model] = {
-        kind: (Regression.load if network(kind).fitter else load_model)(model_file(settings))
+        kind: (Regression.load if settings.fitted else load_model)(model_file(settings))
     }
-    if kind != Linear.kind:
+    if settings.input.physics == "elastic":
+        models["elastic answer"] = LastFrame(models[kind].input_shape)
+    elif kind not in (Linear.kind, Elastic.kind):
         models["linear regression"] = linear_regression(settings, dataset)
     return models
 
@@ -103,10 +119,12 @@ def evaluate(settings: Settings, dataset: Dataset) -> dict:
     """Metrics of the run's best model and of its linear regression, written to its folder with the
     figures."""
     models, window = competitors(settings, dataset), settings.model.window
+    seen = run_input(settings, dataset)
+    keep_input(settings, dataset, seen)
     metrics: dict[str, dict] = {name: {} for name in (*models, "FEM")}
     splits = ["validation", "test"] + ["hard"] * ("hard" in dataset.split)
     for split in splits:
-        samples = load_samples(dataset, split, window)
+        samples = load_samples(dataset, split, window, seen)
         print(f"evaluating {len(samples)} {split} samples", flush=True)
         predictions = {name: predict(model, samples, dataset) for name, model in models.items()}
         parts: dict[str, slice | np.ndarray] = {HARD_SET if split == "hard" else split: slice(None)}
@@ -121,7 +139,7 @@ def evaluate(settings: Settings, dataset: Dataset) -> dict:
         if split == "test":
             gate = settings.loss.volume_threshold
             figures.draw_all(settings.folder / "figures", dataset, samples, predictions, gate)
-    metrics["extremes"] = judge_extremes(models, dataset, window)
+    metrics["extremes"] = judge_extremes(models, dataset, window, seen)
     write_text(settings.folder / "metrics.json", json.dumps(metrics, indent=1))
     print(table(metrics, dataset))
     print(extremes_table(metrics["extremes"], models))

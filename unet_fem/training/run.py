@@ -69,8 +69,7 @@ def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
 
 def model_file(settings: Settings) -> Path:
     """Where the run keeps what it has made: its best network, or its regression."""
-    fitted = network(settings.model.kind).fitter
-    return settings.folder / ("regression.npz" if fitted else "best.keras")
+    return settings.folder / ("regression.npz" if settings.fitted else "best.keras")
 
 
 def vet(settings: Settings, resume: bool = False) -> None:

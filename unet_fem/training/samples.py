@@ -8,11 +8,12 @@ import numpy as np
 
 from fem.data.dataset import Dataset
 from fem.errors import InputError
+from fem.online.input_field import InputField
 
 
 def windows(force: np.ndarray, steps: int | None) -> np.ndarray:
-    """Force windows that end at each frame, in order of interaction and frame; before the first
-    frame there is no force.
+    """Windows of forces, or of what is seen in their place, that end at each frame, in order of
+    interaction and frame; before the first frame there is none.
 
     force: (I, F, nx, ny, nz, 3). Returns (I*F, steps, nx, ny, nz, 3), or (I*F, nx, ny, nz, 3) for
     steps None.
@@ -33,7 +34,8 @@ class Samples:
 
     force: windows, mN, see `windows`; displacement: (S, nx, ny, nz, 3) mm of the window's last
     frame; interaction: (S,) the number of the interaction that each comes from; hard: (S,) bool;
-    volume: (S,) mm3 of the FEM's deformed mesh.
+    volume: (S,) mm3 of the FEM's deformed mesh; seen: windows of what the model sees in place of
+    the forces, if it does; `force` is then that of the last frame alone.
     """
 
     force: np.ndarray
@@ -41,6 +43,7 @@ class Samples:
     interaction: np.ndarray
     hard: np.ndarray
     volume: np.ndarray
+    seen: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.displacement)
@@ -48,20 +51,40 @@ class Samples:
     @property
     def last_force(self) -> np.ndarray:
         """(S, nx, ny, nz, 3) mN of the window's last frame."""
-        return self.force if self.force.ndim == 5 else self.force[:, -1]
+        return _last(self.force)
+
+    @property
+    def input(self) -> np.ndarray:
+        """The windows that a model takes."""
+        return self.force if self.seen is None else self.seen
+
+    @property
+    def last_input(self) -> np.ndarray:
+        """(S, nx, ny, nz, 3) of the input window's last frame."""
+        return _last(self.input)
 
     def select(self, rows: np.ndarray | slice) -> "Samples":
         """Those of some rows."""
-        return Samples(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return Samples(**{name: a[rows] for name, a in own.items() if a is not None})
 
 
-def load_samples(dataset: Dataset, split: str, steps: int | None) -> Samples:
+def _last(windows):
+    return windows if windows.ndim == 5 else windows[:, -1]
+
+
+def load_samples(
+    dataset: Dataset, split: str, steps: int | None, field: InputField | None = None
+) -> Samples:
     """Samples of `split` (of fem.data.scene.SPLITS) of a fem.data.dataset.Dataset, with
-    windows of `steps` frames."""
+    windows of `steps` frames of the `field` that the model sees, of the forces if None."""
     fields = dataset.read(split)
-    frames = fields["force"].shape[1]
+    force, frames, seen = fields["force"], fields["force"].shape[1], None
+    if field:
+        seen = windows(field.sequences(force, dataset.scene.frames.interval), steps)
     return Samples(
-        force=windows(fields["force"], steps),
+        force=windows(force, None if field else steps),
+        seen=seen,
         displacement=fields["displacement"].reshape(-1, *fields["displacement"].shape[2:]),
         interaction=np.repeat(fields["number"], frames),
         hard=np.repeat(fields["hard"], frames),
@@ -69,24 +92,32 @@ def load_samples(dataset: Dataset, split: str, steps: int | None) -> Samples:
     )
 
 
-def training_samples(dataset: Dataset, steps: int | None) -> tuple[Samples, Samples]:
+def training_samples(
+    dataset: Dataset, steps: int | None, field: InputField | None = None
+) -> tuple[Samples, Samples]:
     """(training, validation) samples, see `load_samples`."""
-    return load_samples(dataset, "train", steps), load_samples(dataset, "validation", steps)
+    return (
+        load_samples(dataset, "train", steps, field),
+        load_samples(dataset, "validation", steps, field),
+    )
 
 
-def scales(samples: Samples) -> tuple[float, float]:
-    """(force_scale mN, displacement_scale mm): root mean square over the nonzero entries of the
-    training data."""
-    result = []
-    for name, values in (("force", samples.last_force), ("displacement", samples.displacement)):
-        values = values[values != 0]
+def scales(samples: Samples, corrects: bool = False) -> tuple[float, float]:
+    """(scale of the input, mN or mm, displacement_scale mm): root mean square over the nonzero
+    entries of the training data. corrects: the displacement's is that of its difference from the
+    input."""
+    result: list[float] = []
+    displacement = samples.displacement
+    if corrects:
+        displacement = displacement - samples.last_input
+    for name, field in (("force", samples.last_input), ("displacement", displacement)):
+        values = field[field != 0]
         if not values.size:
             raise InputError(
                 f"every {name} of the training data is zero; raise contact.force in the scene"
             )
         result.append(float(np.sqrt(np.mean(np.square(values, dtype=float)))))
-    force, displacement = result
-    return force, displacement
+    return result[0], result[1]
 
 
 def batches(

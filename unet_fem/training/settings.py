@@ -28,6 +28,23 @@ class LossChoice:
 
 
 @dataclass(frozen=True)
+class InputChoice:
+    """What the model sees of the forces.
+
+    memory: "window", the last forces as they are, or "creep", as creeping tissue remembers them,
+    see fem.online.creep.CreepFilter; the window is then one of remembered forces. Elastic tissue
+    has no memory: there both are the same. physics: "force", or "elastic", the linear elastic
+    answer to it, to which a network then learns the correction.
+    """
+
+    memory: Literal["window", "creep"] = "window"
+    physics: Literal["force", "elastic"] = "force"
+
+    def __post_init__(self) -> None:
+        config.normalised(self)
+
+
+@dataclass(frozen=True)
 class TrainChoice:
     """schedule "cosine" lets the learning rate fall to zero at the last epoch; precision is Keras's
     policy. A regression is fitted in closed form and reads none of it."""
@@ -54,10 +71,21 @@ class Settings:
     train: TrainChoice
     model: Options = field(default_factory=CnnLstm)
     loss: LossChoice = field(default_factory=LossChoice)
+    input: InputChoice = field(default_factory=InputChoice)
 
     def __post_init__(self) -> None:
         config.normalised(self)
         plain_name(self.name, "name")
+        if self.input.physics == "elastic" and self.fitted:
+            raise InputError(
+                f"input.physics = 'elastic' has no meaning for model.kind = '{self.model.kind}',"
+                " only for networks; leave it out"
+            )
+
+    @property
+    def fitted(self) -> bool:
+        """Whether the model is a regression, which is not trained."""
+        return network(self.model.kind).fitted
 
     @property
     def folder(self) -> Path:
@@ -65,8 +93,12 @@ class Settings:
         return Path("runs") / self.name
 
     def toml(self) -> str:
-        """The settings as a TOML file, with the options of the model's kind alone."""
-        return config.dump_toml(config.to_dict(self))
+        """The settings as a TOML file, with the options of the model's kind alone, and without
+        [input] where the model sees the forces as they are."""
+        tree = config.to_dict(self)
+        if self.input == InputChoice():
+            del tree["input"]
+        return config.dump_toml(tree)
 
 
 def load_settings(path: Path | str, overrides: Iterable[str] = ()) -> Settings:

@@ -246,7 +246,7 @@ def test_other_files_are_refused(tmp_path, model, tiny_dataset):
     bare = tmp_path / "bare.tflite"
     bare.write_bytes(lite.export(model, "float32"))
     for path in (bare, tiny_dataset):
-        with pytest.raises(InputError, match="is not a 'unet-fem surrogate 2' file"):
+        with pytest.raises(InputError, match="is not a 'unet-fem surrogate 3' file"):
             Surrogate(path)
     with pytest.raises(InputError, match="no surrogate"):
         Surrogate(tmp_path / "none.tflite")
@@ -292,8 +292,8 @@ def test_a_mesh_embedded_in_the_grid_takes_forces_on_the_grid_alone(file, tmp_pa
 
 
 def test_a_format_of_the_future_is_refused(file, tmp_path):
-    newer = rewritten(file, tmp_path / "newer.tflite", format="unet-fem surrogate 3")
-    with pytest.raises(InputError, match="format: unet-fem surrogate 3"):
+    newer = rewritten(file, tmp_path / "newer.tflite", format="unet-fem surrogate 4")
+    with pytest.raises(InputError, match="format: unet-fem surrogate 4"):
         Surrogate(newer)
 
 

@@ -25,6 +25,7 @@ from unet_fem.study.measure.reference import references
 from unet_fem.study.runs import KERAS, trained_runs
 from unet_fem.study.settings import Study
 from unet_fem.study.steppers import Competitor, networks, regressions
+from unet_fem.training.inputs import run_input
 from unet_fem.training.judge import predict, rest_volume
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import Settings
@@ -100,9 +101,9 @@ def _network(study, settings, name, competitor, dataset, test, truth):
     def judge():
         print(f"judging {name}", flush=True)
         if batched:
-            answer = keras_answer(
-                path, load_samples(dataset, "test", settings.model.window), dataset
-            )
+            seen = run_input(settings, dataset)
+            samples = load_samples(dataset, "test", settings.model.window, seen)
+            answer = keras_answer(path, samples, dataset)
         else:
             answer = _followed(competitor, dataset, "test")[0]
         if field:

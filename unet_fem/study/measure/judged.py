@@ -11,6 +11,7 @@ from unet_fem.metrics import relative_l2
 from unet_fem.networks.files import load_model
 from unet_fem.study.measure.sums import sums_of_squares
 from unet_fem.training.depth import by_depth
+from unet_fem.training.inputs import run_input
 from unet_fem.training.judge import predict, rest_volume
 from unet_fem.training.losses import deformed_volume
 from unet_fem.training.samples import Samples, load_samples
@@ -81,8 +82,9 @@ def run_facts(settings: Settings, dataset: Dataset) -> dict:
         "seed": settings.train.seed,
         "threshold": settings.loss.volume_threshold,
     }
+    seen = run_input(settings, dataset)
     for split in ("train", "validation"):
-        samples = load_samples(dataset, split, settings.model.window)
+        samples = load_samples(dataset, split, settings.model.window, seen)
         facts[split] = relative_l2(predict(model, samples, dataset)[0], samples.displacement)
     written = settings.folder / "history.json"
     # magnitude pruning leaves none
