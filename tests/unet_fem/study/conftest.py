@@ -145,6 +145,7 @@ class _Results:
                 "best_epoch": 2,
                 "seconds": 60.0,
                 "threshold": 0.07,
+                "volume_scale": 1e3,
                 "train_gate_open": 0.0,
                 "validation_gate_open": 0.0,
             }

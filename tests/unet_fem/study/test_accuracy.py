@@ -261,6 +261,7 @@ def made_up_accuracy(numbers=12):
     runs = {
         name.split(":")[0]: {
             "threshold": 0.02,
+            "volume_scale": 1e3,
             "train_gate_open": 0.5,
             "validation_gate_open": None,
         }
@@ -297,7 +298,7 @@ def test_the_arms_of_the_volume_term_are_compared_in_pairs():
         assert found[1][f"{which}_difference"]["high"] < 0
         assert np.mean(found[1]["seeds"][which]) == pytest.approx(found[1][which]["relative_l2"])
     assert (
-        found[0]["fem_gate_open"] == 0.25
+        found[0]["volume_scale"] == 1e3
         and found[0]["train_gate_open"] == 0.5
         and found[0]["validation_gate_open"] is None
     )
@@ -312,7 +313,7 @@ def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset, monke
     monkeypatch.setattr(accuracy, "unseen_samples", lambda *arguments: None)
     monkeypatch.setattr(accuracy, "keep_field", lambda path, *others: write_text(path, ""))
     monkeypatch.setattr(
-        accuracy, "judged", lambda *arguments: judgements.append(arguments[-1]) or {"x": 1}
+        accuracy, "judged", lambda *own, **_: judgements.append(own[-1]) or {"x": 1}
     )
     study = SimpleNamespace(
         cache=tmp_path,
@@ -327,7 +328,7 @@ def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset, monke
             name="run",
             folder=tmp_path,
             model=SimpleNamespace(window=2),
-            loss=SimpleNamespace(volume_threshold=threshold),
+            loss=SimpleNamespace(volume_threshold=threshold, volume_of="all"),
         )
         competitor = Competitor("network", "CNN-LSTM", None, run="run", form=KERAS)
         found = accuracy._network(study, settings, "run", competitor, dataset, None, {})

@@ -109,8 +109,8 @@ def _network(study, settings, name, competitor, dataset, samples, truth):
     """The entry of one form of a run, kept until its file, the dataset or the reference changes."""
     batched = competitor.form == KERAS
     path = settings.folder / "best.keras" if batched else files_there(settings)[competitor.form]
-    gate = settings.loss.volume_threshold
-    made_from = _key(study, truth, (gate, competitor.form), [dataset.path, path])
+    gate, volume_of = settings.loss.volume_threshold, settings.loss.volume_of
+    made_from = _key(study, truth, (gate, volume_of, competitor.form), [dataset.path, path])
     entry = study.cache / "accuracy" / f"{made_from}.json"
     field = entry.with_suffix(".npz") if batched and settings.name in drawn_runs(study) else None
     if field and not field.is_file():
@@ -124,7 +124,7 @@ def _network(study, settings, name, competitor, dataset, samples, truth):
             answer = _followed(competitor, samples.force, dataset)
         if field:
             keep_field(field, dataset, answer)
-        return judged(answer, dataset, samples, truth, gate)
+        return judged(answer, dataset, samples, truth, gate, volume_of=volume_of)
 
     found = competitor.facts() | once(entry, made_from, judge)
     return found | ({"field": str(field.relative_to(study.cache))} if field else {})

@@ -111,7 +111,7 @@ class Tables:
             reached = len(answer)
             error = np.square(answer[:, free] - truth[:reached]).sum(axis=(1, 2))
             squared[row, :reached] += error
-            change = np.abs(volumes(self.dataset, answer) / self.rest - 1)
+            change = np.abs(volumes(self.dataset.surface, answer) / self.rest - 1)
             volume[row, :reached] = np.maximum(volume[row, :reached], change)
             stopped[row, reached:here] += 1
 

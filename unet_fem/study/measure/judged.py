@@ -14,8 +14,13 @@ from unet_fem.study.dataset import Case, name_of, named, unseen
 from unet_fem.study.measure.statistics import errors
 from unet_fem.study.measure.sums import sums_of_squares
 from unet_fem.training.depth import by_depth
-from unet_fem.training.judge import predict, rest_volume
-from unet_fem.training.losses import deformed_volume
+from unet_fem.training.judge import predict
+from unet_fem.training.losses import (
+    deformed_volume,
+    volume_at_rest,
+    volume_scale,
+    volume_surface,
+)
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import Settings
 
@@ -42,6 +47,7 @@ def judged(
     truth: dict[Case, np.ndarray],
     gate: float = VOLUME_BAND,
     cases: list[Case] | None = None,
+    volume_of: str = "all",
 ) -> dict:
     """What is known of `answer` (S, nx, ny, nz, 3) mm on Samples of the interactions `cases`, in
     this order; for None those of `unseen_samples`.
@@ -51,7 +57,8 @@ def judged(
     reference: the same sums against `truth` {case: (frames, nx, ny, nz, 3) mm};
     depth: see `by_depth`, of the usual ones; violation: {name: largest relative change of volume};
     violation_mean over all frames; gate (the paper's for models that were trained without), and
-    gate_open: share of frames with more than that. Raises InputError where the answer is not
+    gate_open: share of frames with more than that, of the volume of `volume_of`, see
+    losses.volume_surface, which the others are of too. Raises InputError where the answer is not
     finite.
     """
     if not np.isfinite(answer).all():
@@ -67,7 +74,8 @@ def judged(
         name_of(case): sums_of_squares(field, own[case].reshape(field.shape), dataset)
         for case, field in found.items()
     }
-    violation = np.abs(volumes(dataset, answer) / rest_volume(dataset) - 1)
+    surface = volume_surface(dataset, volume_of)
+    violation = np.abs(volumes(surface, answer) / volume_at_rest(*surface) - 1)
     usual = np.repeat([case in subsets["usual"] for case in cases], frames)
     depth = by_depth(dataset, answer[usual], samples.displacement[usual]) if usual.any() else None
     return errors(sums, named(subsets)) | {
@@ -90,28 +98,34 @@ def by_case(cases: list[Case], values: np.ndarray) -> dict[str, float]:
     return dict(zip(map(name_of, cases), largest, strict=True))
 
 
-def volumes(dataset: Dataset, answer: np.ndarray) -> np.ndarray:
-    """(S,) mm3 of the mesh displaced by each field of `answer`, in batches: the faces of a few
-    hundred fields fill the memory."""
+def volumes(surface: tuple[np.ndarray, np.ndarray], answer: np.ndarray) -> np.ndarray:
+    """(S,) mm3 within `surface`, see losses.deformed_volume, displaced by each field of `answer`,
+    in batches: the faces of a few hundred fields fill the memory."""
     parts = [answer[i : i + 64] for i in range(0, len(answer), 64)]
-    return np.concatenate(
-        [np.asarray(deformed_volume(part, *dataset.surface), float) for part in parts]
-    )
+    return np.concatenate([np.asarray(deformed_volume(part, *surface), float) for part in parts])
 
 
 def run_facts(settings: Settings, dataset: Dataset) -> dict:
     """parameters; train and validation: relative L2; epochs, best_epoch, seconds (None where the
     history does not tell), seed;
-    threshold of the volume loss, and train_gate_open, validation_gate_open: mean over the epochs of
-    the share of samples beyond it."""
+    threshold of the volume loss, volume_scale: see losses.volume_scale, and train_gate_open,
+    validation_gate_open: mean over the epochs of the share of samples beyond it."""
     model = load_model(settings.folder / "best.keras")
     facts = {
         "parameters": model.count_params(),
         "seed": settings.train.seed,
         "threshold": settings.loss.volume_threshold,
     }
+    choice = settings.loss
     for split in ("train", "validation"):
         samples = load_samples(dataset, split, settings.model.window)
+        if split == "train":
+            facts["volume_scale"] = volume_scale(
+                *volume_surface(dataset, choice.volume_of),
+                choice.volume_weight,
+                choice.volume_threshold,
+                samples.displacement,
+            )
         facts[split] = relative_l2(predict(model, samples, dataset)[0], samples.displacement)
     written = settings.folder / "history.json"
     # magnitude pruning leaves none

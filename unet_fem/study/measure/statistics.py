@@ -143,7 +143,7 @@ def physics(study: Study, accuracy: dict) -> list[dict]:
     run]}; train_gate_open,
     validation_gate_open, unseen_gate_open: shares of samples beyond the arm's threshold, in
     training as a mean over the epochs; violation_mean and violation_max on the unseen
-    interactions; fem_gate_open: share of these whose own FEM volume is beyond it.
+    interactions; volume_scale: of the first run, see losses.volume_scale.
     """
     found, first = [], None
     for arm in study.physics:
@@ -171,9 +171,7 @@ def physics(study: Study, accuracy: dict) -> list[dict]:
                 "unseen_gate_open": _mean(models, "gate_open"),
                 "violation_mean": _mean(models, "violation_mean"),
                 "violation_max": max(max(m["violation"].values()) for m in models),
-                "fem_gate_open": float(
-                    np.mean(np.array(list(accuracy["fem_violation"].values())) > threshold)
-                ),
+                "volume_scale": facts[0]["volume_scale"],
             }
         )
         first = first or names

@@ -109,9 +109,7 @@ def _varied(study, accuracy, name):
     configurations that differ from the first main run in this option alone."""
     own = study.network(study.main[0].run).model.own()
     options = {run: study.network(run).model.own() for run in study.configurations}
-    runs = {
-        other[name]: run for run, other in options.items() if {**other, name: own[name]} == own
-    }
+    runs = {other[name]: run for run, other in options.items() if {**other, name: own[name]} == own}
     errors = {}
     for value, run in sorted(runs.items()):
         seeds = [seed for seed in study.replicas(run) if seed in accuracy["runs"]]
