@@ -31,7 +31,8 @@ class Dutiful:
         total, nodal = _size(force.reshape(-1, 3))
         if not total + nodal < np.inf:
             raise InputError("the force is not finite; give it in mN")
-        self.outside_training_range = total > self.largest[0] or nodal > self.largest[1]
+        most_total, most_nodal = self.largest  # beyond them by more than rounding
+        self.outside_training_range = total > 1.00001 * most_total or nodal > 1.00001 * most_nodal
         answer = self.stepper.step(force, dt)
         self.volume_alarm = abs(self._volume(answer) / self.rest_volume - 1) > VOLUME_BAND
         return answer
