@@ -5,7 +5,8 @@
 What is there already is used again: trained runs under runs/, figures of each stage in the cache,
 as long as what they depend on is the same: the study's settings, the dataset, the runs' files. A
 command that was cut off goes on where it was. --quick takes configs/study_quick.toml, minutes
-instead of hours.
+instead of hours. --untrained measures what is there and trains nothing, --only some stages of it;
+the page says what is missing. The study of configs/study.toml also writes its part of README.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from fem.commands import command_line
 from fem.errors import InputError
 from unet_fem.study.runs import CommandFailed, deploy, make_long_data, train_networks
 from unet_fem.study.settings import load_study
-from unet_fem.study.stages import STAGES, run_stage
+from unet_fem.study.stages import STAGES, run_stage, stage_file
 
 STUDY, QUICK = Path("configs/study.toml"), Path("configs/study_quick.toml")
 
@@ -30,28 +31,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parse(arguments)
     if options.quick and options.study:
         raise InputError(f"give either {options.study} or --quick, not both")
-    for name in options.again:
-        if name not in STAGES:
-            raise InputError(f"--again {name}: no such stage; there are {', '.join(STAGES)}")
+    for option in ("again", "only"):
+        for name in getattr(options, option):
+            if name not in STAGES:
+                raise InputError(f"--{option} {name}: no such stage; there are {', '.join(STAGES)}")
     if options.cache:
         os.environ[VARIABLE] = str(options.cache)  # for the commands that this one starts, too
     study = load_study(options.study or (QUICK if options.quick else STUDY))
     out = options.out or (study.folder if options.quick else Path("docs"))
     try:
-        if not options.draw:
+        if not (options.draw or options.untrained or options.only):
             train_networks(study)
             deploy(study)
             make_long_data(study)
-        results = {
-            name: run_stage(study, name, again=name in options.again, only_read=options.draw)
-            for name in STAGES
-        }
+        results = {}
+        for name in STAGES:
+            read = options.draw or bool(options.only) and name not in options.only
+            if read and options.only and not stage_file(study, name).is_file():
+                continue  # the page says so
+            results[name] = run_stage(study, name, name in options.again, only_read=read)
     except CommandFailed as failed:
         print(failed, file=sys.stderr)
         sys.exit(failed.code)
     from unet_fem.study.report import page  # not above: it brings TensorFlow and matplotlib
 
-    path = page.write(study, results, out)
+    readme = Path("README.md") if study.name == STUDY.stem and out == Path("docs") else None
+    path = page.write(study, results, out, readme)
     print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
 
 
@@ -77,6 +82,18 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         default=[],
         metavar="STAGE",
         help=f"measure these again: {', '.join(STAGES)}",
+    )
+    parser.add_argument(
+        "--untrained",
+        action="store_true",
+        help="train nothing: measure what is there; the page says what is missing",
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="STAGE",
+        help="train nothing and measure these alone, the others as they are there",
     )
     parser.add_argument(
         "--draw",

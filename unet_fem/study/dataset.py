@@ -1,6 +1,7 @@
-"""The dataset of a study and its interactions: their loads, their forces frame by frame, and their
-simulation under other settings."""
+"""The dataset of a study and its interactions: which of them competitors are judged on, their
+loads, their forces frame by frame, and their simulation under other settings."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -15,25 +16,67 @@ from fem.mesh.hexmesh import HexMesh
 from fem.online.grid import MN
 from unet_fem.study.settings import Study
 
+Case = tuple[str, int]  # (split, number) of an interaction
+SUBSETS = ("usual", "hard")
+
 
 def study_dataset(study: Study) -> Dataset:
     """The dataset of the study: that of its first main network."""
     return open_dataset(study.data).for_learning()
 
 
-def hard_numbers(dataset: Dataset) -> list[int]:
-    """Numbers of the test interactions that push harder than any in training."""
-    return dataset.number[dataset.hard & (dataset.split == "test")].tolist()
+def unseen(dataset: Dataset) -> dict[str, list[Case]]:
+    """{"usual", "hard"}: every interaction that no competitor may learn from or be tuned on, each
+    in one of the two. Hard are those that push harder than any in training: of the split "test"
+    those marked so, and all of the split "hard"."""
+    judged = np.isin(dataset.split, ("test", "hard"))
+    hard = dataset.hard | (dataset.split == "hard")
+    return {
+        "usual": _cases(dataset, judged & ~hard),
+        "hard": _cases(dataset, judged & hard),
+    }
 
 
-def judged_numbers(study: Study, dataset: Dataset) -> list[int]:
-    """Numbers of the test interactions that competitors are judged on: those of study.fem and the
-    hard ones."""
-    have = set(dataset.number[dataset.split == "test"].tolist())
-    for number in study.fem.interactions:
-        if number not in have:
-            dataset.sequence("test", number)  # an InputError that says which there are
-    return sorted({*study.fem.interactions, *hard_numbers(dataset)})
+def headline(study: Study, dataset: Dataset) -> dict[str, list[Case]]:
+    """The same of the interactions that have a converged reference: the usual ones of study.fem,
+    and the first study.fem.hard of the hard. Raises InputError where study.fem names a hard one."""
+    own = unseen(dataset)
+    chosen = [("test", number) for number in study.fem.interactions]
+    for case in chosen:
+        if case in own["hard"]:
+            raise InputError(
+                f"fem.interactions has {case[1]}, a hard one; usual and hard are judged apart,"
+                " and all hard ones are judged anyway: leave it out"
+            )
+        if case not in own["usual"]:
+            dataset.sequence(*case)  # an InputError that says which there are
+    return {"usual": chosen, "hard": own["hard"][: study.fem.hard]}
+
+
+def name_of(case: Case) -> str:
+    """A case in results, such as "test 80"."""
+    return f"{case[0]} {case[1]}"
+
+
+def named(subsets: dict[str, list[Case]]) -> dict[str, list[str]]:
+    """{"usual", "hard"} with the names of the cases."""
+    return {name: [name_of(case) for case in cases] for name, cases in subsets.items()}
+
+
+def everything(subsets: dict[str, list[Case]]) -> list[Case]:
+    """The cases of both subsets, the usual ones first."""
+    return [case for name in SUBSETS for case in subsets[name]]
+
+
+def in_order(dataset: Dataset, split: str, cases: Iterable[Case]) -> list[int]:
+    """The numbers of the cases of `split`, in the order of the file."""
+    have = {number for own, number in cases if own == split}
+    return [n for n in dataset.number[dataset.split == split].tolist() if n in have]
+
+
+def _cases(dataset, rows):
+    pairs = zip(dataset.split[rows].tolist(), dataset.number[rows].tolist(), strict=True)
+    return sorted(pairs, key=lambda case: (case[0] != "test", case[1]))
 
 
 def load_of(dataset: Dataset, split: str, number: int, factor: float = 1.0) -> Load:

@@ -2,7 +2,7 @@
 measures."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fem import settings as config
@@ -13,15 +13,18 @@ from fem.ranges import Range, check, number
 from unet_fem.training.settings import Settings, load_settings
 
 LINEAR = "linear regression"  # names the regression among the claims of the paper
+CLAIMS = ("volume", "units", "steps", "float16", "int8", "pruning", "latency", "fem")
 
 
 @dataclass(frozen=True)
 class Network:
-    """A training run: its name, its configuration file and the key=value changes laid over that."""
+    """A training run: its name, its configuration file, the key=value changes laid over that, and
+    the settings that were tried for it on validation interactions."""
 
     name: str
     config: str
     changes: tuple[str, ...] = ()
+    tries: int = 1
 
     @property
     def settings(self) -> Settings:
@@ -42,15 +45,44 @@ class Main:
 
 
 @dataclass(frozen=True)
+class Answer:
+    """A competitor that joins by configuration: whatever steps (see unet_fem.steppers).
+
+    label: its name; family: joined in figures; file: that its stepper is opened from, or stepper:
+    kind of one that is made from the dataset's mesh and material, a FEM; options: keywords of
+    either
+    interactions: that it has learned from, 0 for none; hard: whether hard forces were among them;
+    tries: settings that were tried on validation interactions
+    """
+
+    label: str
+    family: str
+    file: str = ""
+    stepper: str = ""
+    options: dict = field(default_factory=dict)
+    interactions: int = 0
+    hard: bool = False
+    tries: int = 1
+
+    def __post_init__(self) -> None:
+        if bool(self.file) == bool(self.stepper):
+            raise InputError(
+                f"answers: '{self.label}' has file = '{self.file}' and stepper ="
+                f" '{self.stepper}'; give one of the two"
+            )
+
+
+@dataclass(frozen=True)
 class Order:
     """The paper's claim that `better` errs less than `worse`, by the share `gain` of its error.
 
-    Both are labels of main networks, or "linear regression".
+    Both are labels of main networks, or "linear regression"; says: the paper's sentence.
     """
 
     better: str
     worse: str
     gain: float = number(0, 1)
+    says: str
 
 
 @dataclass(frozen=True)
@@ -65,14 +97,15 @@ class Arm:
 class Fem:
     """The FEM as a competitor at fixed latency.
 
-    interactions: numbers of the test interactions that the headline figure judges every competitor
-    on, besides the hard ones
+    interactions: numbers of the usual test interactions that the headline figure judges every
+    competitor on; hard: how many of the hard ones besides, None for all
     steps: warm-started steps a frame; frames: lengths of a frame in s
     reference_safety: share of the critical step that the reference takes; checked: interactions
     that its own error is measured on
     """
 
     interactions: tuple[int, ...] = number(1, 1_000_000)
+    hard: int | None = number(1, 1_000_000, default=None)
     steps: tuple[int, ...] = number(1, 1_000_000, default=(1, 2, 5, 11, 22, 44, 100, 200))
     frames: tuple[float, ...] = number(1e-4, 1e5, "s", default=(0.01, 0.25))
     reference_safety: float = number(1e-3, 1, default=0.85)
@@ -95,12 +128,15 @@ class Study:
     main: the networks that are pruned and shown in every figure, the paper's best first: its
     dataset is the study's, and it is the one whose configurations are compared; deployed: runs
     that are exported in every form
-    order: claims of the paper; paper_latency: {label of a main network, or "FEM": s} as the paper
-    gives them; configurations: runs of the paper's table of configurations;
+    answers: competitors that join by their files or kinds
+    order: claims of the paper; claims: {one of CLAIMS: the paper's sentence}, a claim without one
+    is not judged; paper_latency: {label of a main network, or "FEM": s} as the paper gives them;
+    configurations: runs of the paper's table of configurations;
     physics: arms of the comparison with and without the volume term, the first of them without;
     learning_rate: two runs, the schedule first; window: two runs, the shorter first
     prune: shares to remove; pod_modes: numbers of modes of the POD with regression; long_scene:
-    scene of the long interactions and its dataset; rounds: timings of each competitor
+    scene of the long interactions and its dataset; rounds: turns of each competitor when run times
+    are taken; tries: settings that may be tried for each competitor on validation
     """
 
     name: str
@@ -115,11 +151,14 @@ class Study:
     stability: Stability
     long_scene: str
     long_data: str
+    answers: tuple[Answer, ...] = ()
     order: tuple[Order, ...] = ()
+    claims: dict = field(default_factory=dict)
     paper_latency: dict = field(default_factory=dict)
     prune: tuple[float, ...] = number(0.01, 0.99, default=(0.5, 0.8))
     pod_modes: tuple[int, ...] = number(1, 1_000_000, default=(5, 10, 20, 40, 80, 160))
-    rounds: int = number(1, 1_000_000, default=200)
+    rounds: int = number(1, 1_000_000, default=100)
+    tries: int = number(1, 1_000_000, default=12)
 
     def __post_init__(self) -> None:
         for name in (self.name, *(network.name for network in self.networks)):
@@ -150,12 +189,30 @@ class Study:
                 raise InputError(
                     f"run '{name}' is not among the networks of the study: {', '.join(names)}"
                 )
+        for name in self.claims:
+            if name not in CLAIMS:
+                raise InputError(f"claims: '{name}' is not one of {', '.join(CLAIMS)}")
+        self._check_tries()
         for label in (label for order in self.order for label in (order.better, order.worse)):
             if label not in (*labels, LINEAR):
                 raise InputError(
                     f"order: '{label}' is no label of a main network:"
                     f" {', '.join(labels)} or {LINEAR}"
                 )
+
+    def _check_tries(self) -> None:
+        """Every competitor has the same budget of settings to try on validation."""
+        spent = {network.name: network.tries for network in self.networks}
+        spent |= {answer.label: answer.tries for answer in self.answers}
+        for name, tries in spent.items():
+            if not 1 <= tries <= self.tries:
+                raise InputError(
+                    f"'{name}' has tries = {tries}, the study allows 1 to tries = {self.tries} for"
+                    " each competitor; choose among fewer settings, or give all the same budget"
+                )
+        labels = [answer.label for answer in self.answers]
+        if len(set(labels)) < len(labels):
+            raise InputError("answers: two have the same label; a competitor's must be its own")
 
     @property
     def folder(self) -> Path:
@@ -175,6 +232,16 @@ class Study:
     def network(self, name: str) -> Settings:
         """The Settings of the run called `name`."""
         return next(network.settings for network in self.networks if network.name == name)
+
+    def replicas(self, name: str) -> list[str]:
+        """The runs that differ from the run called `name` in their seeds alone, itself first."""
+        own = _but_for_seed(self.network(name))
+        others = [network.name for network in self.networks if network.name != name]
+        return [name, *(run for run in others if _but_for_seed(self.network(run)) == own)]
+
+
+def _but_for_seed(settings: Settings) -> Settings:
+    return replace(settings, name="-", train=replace(settings.train, seed=0))
 
 
 def load_study(path: Path | str, overrides: Iterable[str] = ()) -> Study:

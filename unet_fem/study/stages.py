@@ -51,20 +51,32 @@ def _deployed_files(study: Study) -> list[Path]:
     return [path for settings, _ in deployed_runs(study).values() for path in run_files(settings)]
 
 
+def _answer_files(study: Study) -> list[str]:
+    return [own.file for own in study.answers if own.file]
+
+
 STAGES = {  # a stage is the module of unet_fem.study.measure with run(study)
-    "reference": Stage(("fem",)),
-    "fixed_latency": Stage(("fem",), uses=("reference",)),
+    "reference": Stage(("fem",), version=2),
+    "fixed_latency": Stage(("fem", "tries"), uses=("reference",), version=2),
     "accuracy": Stage(
-        ("networks", "main", "physics", "prune", "pod_modes", "fem"), _all_files, ("reference",)
+        ("networks", "main", "physics", "prune", "pod_modes", "fem", "answers"),
+        lambda study: [*_all_files(study), *_answer_files(study)],
+        ("reference",),
+        version=2,
     ),
-    "time_dependence": Stage(("networks", "main", "window", "fem"), _window_files),
+    "time_dependence": Stage(
+        ("networks", "main", "window", "fem", "answers"),
+        lambda study: [*_window_files(study), *_answer_files(study)],
+        version=2,
+    ),
     "force_range": Stage(
         ("networks", "main", "stability", "fem"), _main_files, ("reference", "fixed_latency")
     ),
     "run_time": Stage(
-        ("networks", "main", "deployed", "prune", "pod_modes", "fem", "rounds"),
-        _deployed_files,
+        ("networks", "main", "deployed", "prune", "pod_modes", "fem", "rounds", "answers"),
+        lambda study: [*_deployed_files(study), *_answer_files(study)],
         ("reference", "fixed_latency"),
+        version=2,
     ),
 }
 
@@ -81,6 +93,11 @@ def stage_key(study: Study, name: str) -> str:
     return key((name, settings), [study.data, *stage.files(study)], versions)
 
 
+def stage_file(study: Study, name: str) -> Path:
+    """Where the figures of stage `name` are kept."""
+    return study.cache / f"{name}.json"
+
+
 def run_stage(study: Study, name: str, again: bool = False, only_read: bool = False) -> dict:
     """The figures of stage `name`: read if they are there and nothing that they depend on has
     changed, otherwise measured now.
@@ -88,7 +105,7 @@ def run_stage(study: Study, name: str, again: bool = False, only_read: bool = Fa
     again: measure in any case; only_read: read what is there, whatever it depends on. Raises
     InputError where there is nothing to read.
     """
-    path = study.cache / f"{name}.json"
+    path = stage_file(study, name)
     if only_read:
         if not path.is_file():
             raise InputError(f"there is no {path} to draw from; run this command without --draw")

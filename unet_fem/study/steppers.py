@@ -3,8 +3,9 @@ by the same code, frame by frame, whatever it is."""
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -12,26 +13,40 @@ from fem.data.dataset import Dataset
 from fem.online.input_field import InputField
 from fem.online.regression import RegressionStepper
 from fem.online.stepper import Stepper
+from unet_fem.deployment.answers import muted
 from unet_fem.deployment.exported import files_there
 from unet_fem.deployment.forms import CALL, graph_stepper
+from unet_fem.networks import ridge
 from unet_fem.networks.files import load_model
 from unet_fem.networks.pod import linear, reduced, truncated
 from unet_fem.networks.registry import network
 from unet_fem.networks.stepper import KerasStepper
 from unet_fem.runtime.surrogate import Surrogate
+from unet_fem.steppers import open_stepper
+from unet_fem.steppers import stepper as build_stepper
 from unet_fem.study.runs import KERAS
-from unet_fem.study.settings import LINEAR, Study
+from unet_fem.study.settings import LINEAR, Answer, Study
 from unet_fem.training.samples import load_samples
 from unet_fem.training.settings import Settings
+
+FACTS = (  # of a competitor, for results
+    *("kind", "family", "run", "parent", "form", "frames"),
+    *("interactions", "hard_in_training", "tries", "frame"),
+)
 
 
 @dataclass(frozen=True)
 class Competitor:
     """One that answers forces frame by frame.
 
-    kind: "network", "regression" or "FEM"; family: joined in figures; run: of a network, parent:
-    the run that it was pruned from; form: as it is deployed; frames: forces that it sees at once;
-    make: gives its Stepper, for forces on the node grid; parameters: of a regression.
+    kind: "network", "regression", "answer" or "FEM"; family: joined in figures; run: of a
+    network, parent: the run that it was pruned from; form: as it is deployed; frames: forces that
+    it sees at once; make: gives its Stepper, for forces on the node grid; parameters: of a
+    regression
+    interactions: that it has learned from, 0 for none; hard_in_training: whether hard forces were
+    among them; tries: settings that were tried on validation interactions
+    frame: s between its forces, None where its answer is the same whatever that is; file: that it
+    is opened from.
     """
 
     kind: str
@@ -42,21 +57,29 @@ class Competitor:
     form: str = "float32"
     frames: int = 1
     parameters: int | None = None
+    interactions: int = 0
+    hard_in_training: bool = False
+    tries: int = 1
+    frame: float | None = None
+    file: str | None = None
 
     def facts(self) -> dict:
         """What results say about it, plain values."""
-        names = ("kind", "family", "run", "parent", "form", "frames")
-        own = {name: getattr(self, name) for name in names}
+        own = {name: getattr(self, name) for name in FACTS}
         return own | ({"parameters": self.parameters} if self.parameters else {})
 
 
 def networks(
-    settings: Settings, parent: str | None, dataset: Dataset, threads: int | None = None
+    settings: Settings,
+    parent: str | None,
+    dataset: Dataset,
+    threads: int | None = None,
+    tries: int = 1,
 ) -> dict[str, Competitor]:
     """{"<run>: <form>": Competitor}: a trained run called plainly, as a tf.function, and by each of
     its .tflite files.
 
-    threads: of LiteRT, None for all; TensorFlow's are the process's.
+    threads: of LiteRT, None for all; TensorFlow's are the process's. tries: see Competitor.
     """
     threads, path = threads or os.cpu_count() or 1, settings.folder / "best.keras"
     interval = dataset.scene.frames.interval
@@ -75,9 +98,59 @@ def networks(
             parent=parent,
             form=form,
             frames=settings.model.window or 1,
+            interactions=trained_on(dataset),
+            tries=tries,
+            file=str(files_there(settings).get(form, path)),
         )
         for form, make in forms.items()
     }
+
+
+def trained_on(dataset: Dataset) -> int:
+    """Interactions of the split that networks and regressions learn from."""
+    return int(np.sum(dataset.split == "train"))
+
+
+def answering(study: Study, dataset: Dataset, threads: int = 1) -> dict[str, Competitor]:
+    """{name: Competitor} of study.answers whose files are there. One that takes any interval is a
+    competitor of its own for each length of frame, for it answers each with another error."""
+    found = {}
+    for own in study.answers:
+        if own.file and not Path(own.file).is_file():
+            continue
+        kind = "FEM" if own.stepper else "answer"  # what is made from mesh and material
+        make = partial(_open_answer, own, dataset, threads)
+        competitor = Competitor(
+            kind,
+            own.family,
+            make,
+            interactions=own.interactions,
+            hard_in_training=own.hard,
+            tries=own.tries,
+            file=own.file or None,
+        )
+        if make().interval is not None:
+            found[own.label] = competitor
+            continue
+        for frame in study.fem.frames:
+            found[f"{own.label} / {1e3 * frame:g} ms"] = replace(competitor, frame=frame)
+    return found
+
+
+def _open_answer(own: Answer, dataset: Dataset, threads: int) -> Stepper:
+    if own.stepper:
+        return build_stepper(own.stepper, dataset.fem_mesh, dataset.material, **own.options)
+    options = {"threads": threads} if own.file.endswith(".tflite") else {}
+    return open_stepper(own.file, **own.options, **options)
+
+
+def followed(stepper: Stepper, forces: np.ndarray, interval: float) -> np.ndarray:
+    """What `stepper` says on forces (F, ...) mN that come every `interval` s, from rest: (F, ...)
+    mm. Its warnings are held back."""
+    dt = interval if stepper.interval is None else None
+    stepper.reset()
+    with muted():
+        return np.stack([stepper.step(force, dt) for force in forces])
 
 
 def linear_name(frames: int | None) -> str:
@@ -88,7 +161,7 @@ def linear_name(frames: int | None) -> str:
 def linear_regressions(dataset: Dataset, windows: Iterable[int | None]) -> dict[str, Competitor]:
     """{name: Competitor} of the linear regression on each window of frames."""
     return {
-        linear_name(frames): _regression(_fitted(dataset, frames)[0], frames)
+        linear_name(frames): _regression(_fitted(dataset, frames)[0], frames, trained_on(dataset))
         for frames in sorted({frames or 1 for frames in windows})
     }
 
@@ -103,13 +176,13 @@ def regressions(study: Study, dataset: Dataset) -> dict[str, Competitor]:
         error = np.sum(wrong**2, dtype=float)
         if error < least:
             least, best = error, (frames, full, train, validation)
-        found[linear_name(frames)] = _regression(full, frames)
+        found[linear_name(frames)] = _regression(full, frames, trained_on(dataset))
     frames, full, train, validation = best
     for model in reduced(full, train, validation, max(study.pod_modes)):
         for modes in study.pod_modes:
             if model.modes is not None and modes <= len(model.modes):
                 name = f"{model.family}, {modes} modes"
-                found[name] = _regression(truncated(model, modes), frames)
+                found[name] = _regression(truncated(model, modes), frames, trained_on(dataset))
     return found
 
 
@@ -118,11 +191,13 @@ def _fitted(dataset, frames):
     return linear(train, validation, dataset.free), train, validation
 
 
-def _regression(model, frames):
+def _regression(model, frames, interactions):
     return Competitor(
         "regression",
         model.family,
         partial(RegressionStepper, model),
         frames=frames,
         parameters=model.parameters,
+        interactions=interactions,
+        tries=len(ridge.RIDGES),
     )

@@ -12,9 +12,10 @@ from fem.online.volume import VOLUME_BAND
 from unet_fem.training.depth import by_depth, node_distance
 from unet_fem.training.samples import Samples
 from unet_fem.training.section import displacement_fields
-from unet_fem.training.style import save, styled, subplots
+from unet_fem.training.style import ALERT, save, styled, subplots
 
-LIMIT_96 = 2.054  # standard deviations that hold 96 % of a normal distribution
+LIMIT_SHARE = 0.96  # of a normal distribution, which lies within LIMIT standard deviations
+LIMIT = 2.054
 
 
 def draw_all(
@@ -83,13 +84,15 @@ def bland_altman(dataset: Dataset, samples: Samples, fields: dict[str, np.ndarra
     for axis, (name, field) in zip(axes.flat, fields.items(), strict=False):
         found = node_distance(dataset, field)
         mean, difference = (truth + found) / 2, found - truth
-        bias, spread = difference.mean(dtype=float), LIMIT_96 * difference.std(dtype=float)
+        bias, spread = difference.mean(dtype=float), LIMIT * difference.std(dtype=float)
         shades = axis.hexbin(
             mean.ravel(), difference.ravel(), gridsize=80, bins="log", mincnt=1, cmap="viridis"
         )
         for value, style in ((bias, "-"), (bias - spread, "--"), (bias + spread, "--")):
-            axis.axhline(value, color="crimson", linestyle=style, linewidth=1)
-        axis.set_title(f"{name}\nbias {bias:.4f} mm, 96 % limits ±{spread:.4f} mm", size=8)
+            axis.axhline(value, color=ALERT, linestyle=style, linewidth=1)
+        axis.set_title(
+            f"{name}\nbias {bias:.4f} mm, {100 * LIMIT_SHARE:g} % limits ±{spread:.4f} mm", size=8
+        )
         figure.colorbar(shades, ax=axis, label="nodes")
     for axis in axes.flat[len(fields) :]:
         axis.remove()
@@ -145,14 +148,14 @@ def interaction_curves(
             linewidth=0.8,
             markersize=4,
         )
-    line = {"color": "crimson", "linestyle": "--", "linewidth": 1}
+    line = {"color": ALERT, "linestyle": "--", "linewidth": 1}
     axes[1].axhline(100 * gate, **line, label=f"{100 * gate:g} % gate")
     axes[1].set(xlabel="test interaction", ylabel="largest volume violation (%)", ylim=(0, None))
     for axis in axes if len(hard) else ():
         axis.axvspan(
             min(hard) - 0.5,
             max(hard) + 0.5,
-            color="orange",
+            color="#E69F00",
             alpha=0.2,
             label="harder than any in training",
         )

@@ -40,7 +40,7 @@ def build_loss(settings: Settings, dataset: Dataset) -> losses.Loss:
     unet_fem.training.losses.volume_loss."""
     choice = settings.loss
     return losses.volume_loss(
-        *dataset.surface,
+        *losses.volume_surface(dataset, choice.volume_of),
         weight=choice.volume_weight,
         threshold=choice.volume_threshold,
         direction_weight=choice.direction_weight,
@@ -52,7 +52,8 @@ def compile_model(
 ) -> None:
     """Adam, the loss and the metrics of `settings`; the learning rate is a function of the step, so
     a resumed run keeps it."""
-    choice, (points, faces) = settings.train, dataset.surface
+    choice = settings.train
+    points, faces = losses.volume_surface(dataset, settings.loss.volume_of)
     rate = choice.learning_rate
     if choice.schedule == "cosine":
         rate = keras.optimizers.schedules.CosineDecay(rate, choice.epochs * steps_per_epoch)
@@ -142,6 +143,21 @@ def seed(number: int) -> None:
         random.randint(1, 10**9)
 
 
+def said_scale(settings: Settings, dataset: Dataset, train: Samples) -> str:
+    """How large the volume term is beside the mean square, in words."""
+    choice = settings.loss
+    surface = losses.volume_surface(dataset, choice.volume_of)
+    band = choice.volume_threshold * losses.volume_at_rest(*surface)
+    scale = losses.volume_scale(
+        *surface, choice.volume_weight, choice.volume_threshold, train.displacement
+    )
+    return (
+        f"volume term ({choice.volume_of} cells): {choice.volume_weight:g} x (change of volume)^2"
+        f" beyond {band:.3g} mm3, in mm6 beside the mm2 of the mean square: where the gate opens"
+        f" {scale:.3g} times the loss of an answer at rest"
+    )
+
+
 def train_network(
     settings: Settings, dataset: Dataset, train: Samples, validation: Samples
 ) -> None:
@@ -161,6 +177,7 @@ def train_network(
             f" {len(validation)} validation samples, {settings.train.epochs} epochs",
             flush=True,
         )
+        print(said_scale(settings, dataset, train), flush=True)
         history = fit(model, settings, train, validation)
     opened = max(history["gate_open"])
     print(

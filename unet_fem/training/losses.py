@@ -6,12 +6,14 @@ Lengths are in mm and volumes in mm3. A model compiled with these closures is lo
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import keras
 import numpy as np
 from keras import ops
 
+from fem.data.dataset import Dataset
 from fem.errors import InputError
 from fem.online.volume import VOLUME_BAND
 
@@ -43,6 +45,39 @@ def deformed_volume(displacement: Tensor, points: np.ndarray, faces: np.ndarray)
     return ops.sum((a + b + c + d) * ops.cross(c - a, d - b), axis=(1, 2)) / 24
 
 
+def volume_surface(dataset: Dataset, volume_of: str = "all") -> tuple[np.ndarray, np.ndarray]:
+    """(points (nx*ny*nz, 3) mm, faces (M, 4)) of `deformed_volume` around all cells of a dataset's
+    grid, or around the cell set that `volume_of` names.
+
+    Raises InputError for a mesh without that set, or without places of its nodes on the grid.
+    """
+    if volume_of == "all":
+        return dataset.surface
+    mesh = dataset.fem_mesh
+    chosen, index = mesh.cell_sets.get(volume_of), mesh.grid_index
+    if chosen is None or not chosen.any() or index is None:
+        have = ", ".join(mesh.cell_sets) or "none"
+        raise InputError(
+            f"loss.volume_of = '{volume_of}', but the mesh of {dataset.path} has the cell sets"
+            f" {have}{' and does not lie on the node grid' * (index is None)}; set it to 'all'"
+        )
+    own = replace(mesh, cells=mesh.cells[chosen], cell_sets={})
+    return dataset.surface[0], index[own.boundary_faces]
+
+
+def volume_scale(
+    points: np.ndarray, faces: np.ndarray, weight: float, threshold: float, truth: np.ndarray
+) -> float:
+    """The volume term where its gate opens, weight (threshold V_origin)^2, over the mean square of
+    displacements `truth` (S, nx, ny, nz, 3) mm, which is the loss of an answer that stays at rest.
+
+    The term has mm6 beside the mm2 of the mean square, so that this number depends on the unit of
+    length: it is stated for mm.
+    """
+    gate = weight * (threshold * volume_at_rest(points, faces)) ** 2
+    return float(gate / np.mean(np.square(truth, dtype=float)))
+
+
 def volume_loss(
     points: np.ndarray,
     faces: np.ndarray,
@@ -58,9 +93,11 @@ def volume_loss(
         sample by sample,
         L = MSE                                      elsewhere,
 
-    with V_t the volume of the prediction. With a direction_weight, L also has direction_weight
-    times the mean over the loaded nodes of ReLU(1 - cos) between force and predicted displacement;
-    y_true then has six channels, the displacement and the last step's force: (B, nx, ny, nz, 6).
+    with V_t the volume of the prediction, of all cells or of a set, see `volume_surface`. The
+    second term has mm6 and the first mm2: see `volume_scale`. With a direction_weight, L also has
+    direction_weight times the mean over the loaded nodes of ReLU(1 - cos) between force and
+    predicted displacement; y_true then has six channels, the displacement and the last step's
+    force: (B, nx, ny, nz, 6).
 
     y_true: (B, nx, ny, nz, 3 or 6) mm (and mN). y_pred: (B, nx, ny, nz, 3) mm. points, faces: see
     deformed_volume. Raises InputError for faces that do not bound a positive volume.

@@ -17,10 +17,15 @@ QUICK = Path("configs/quick.toml")
 
 @dataclass(frozen=True)
 class LossChoice:
-    """See unet_fem.training.losses.volume_loss; volume_weight 0 leaves the volume term out."""
+    """See unet_fem.training.losses.volume_loss; volume_weight 0 leaves the volume term out.
+
+    volume_of: the volume that it watches and that the threshold is a share of, of all cells or of
+    the mesh's cell set "tumour" alone: the paper says both.
+    """
 
     volume_weight: float = number(0, 1e6, default=0.1)
     volume_threshold: float = number(0, 10, default=VOLUME_BAND)
+    volume_of: Literal["all", "tumour"] = "all"
     direction_weight: float = number(0, 1e6, default=0.0)
 
     def __post_init__(self) -> None:

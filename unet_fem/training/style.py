@@ -6,9 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+from cycler import cycler
 from matplotlib.figure import Figure
 
+# told apart with every kind of colour vision, after Okabe and Ito; no green beside the reds
+COLOURS = ("#0072B2", "#D55E00", "#56B4E9", "#E69F00", "#CC79A7", "#000000", "#7F7F7F", "#8C6D1F")
+ALERT = "#9E3D00"  # lines that mark a limit or a front
+
 STYLE: dict[Any, Any] = {
+    "axes.prop_cycle": cycler(color=COLOURS),
     "figure.dpi": 150,
     "font.size": 9,
     "axes.grid": True,

@@ -30,7 +30,7 @@ def study_of(monkeypatch):
             main=mains[:count],
             deployed=tuple(main.run for main in mains[:count]),
             order=tuple(
-                Order(better, worse, 0.3)
+                Order(better, worse, 0.3, f"{better} better than {worse}")
                 for better, worse in zip(labels, [*labels[1:], "linear regression"], strict=True)
             ),
         )
@@ -47,12 +47,17 @@ def results_of():
 class _Results:
     def __init__(self, study: Study):
         self.study, self.rng = study, np.random.default_rng(1)
-        self.numbers = list(range(1, 5))
+        self.usual, self.hard = [f"test {n}" for n in (1, 2, 3)], ["test 4", "hard 1"]
+        self.cases = [*self.usual, *self.hard]
 
     def stages(self) -> dict[str, dict]:
         return {
             "reference": self.reference(),
-            "fixed_latency": {"points": [self.point(frame) for frame in (0.01, 0.25)]},
+            "fixed_latency": {
+                "points": [self.point(frame) for frame in (0.01, 0.25)],
+                "tuned_on": [1, 2],
+                "tries": {"FEM full, 5 steps / 10 ms": 9},
+            },
             "accuracy": self.accuracy(),
             "time_dependence": self.time_dependence(),
             "force_range": self.force_range(),
@@ -61,13 +66,33 @@ class _Results:
 
     def reference(self):
         return {
-            "numbers": self.numbers,
-            "hard_numbers": [4],
-            "stopped": [3],
+            "subsets": self.subsets(),
+            "stopped": ["test 3"],
             "safety": 0.85,
-            "dataset": {"test": 0.002},
+            "dataset": self.errors(0.002),
             "half_step": {"relative_l2": 0.0007},
-            "refined": {"relative_l2": 0.061, "numbers": [1, 2]},
+            "refined": {
+                "relative_l2": 0.061,
+                "element": "full",
+                "tissue": {
+                    "full": {"relative_l2": 0.085, "cases": ["test 1"]},
+                    "mean_dilatation": {"relative_l2": 0.03, "cases": ["test 1"]},
+                },
+                "refined_to_tissue": {"relative_l2": 0.05},
+            },
+        }
+
+    def subsets(self):
+        return {"usual": self.usual, "hard": self.hard}
+
+    def errors(self, usual):
+        names = ("relative_l2", "median")
+        ends = {"low": 0.9, "high": 1.1, "median_low": 0.9, "median_high": 1.1}
+        return {
+            subset: dict.fromkeys(names, share * usual)
+            | {name: share * usual * end for name, end in ends.items()}
+            | {"count": 2}
+            for subset, share in (("usual", 1), ("hard", 1.1))
         }
 
     def point(self, frame):
@@ -76,13 +101,11 @@ class _Results:
             "element": "full",
             "coarse": False,
             "frame": frame,
-            "test": 0.05,
-            "hard": 0.06,
             "stopped": [],
-        }
+        } | self.errors(0.05)
 
     def model(self, kind, family, run=None, parent=None, form="float32"):
-        truth = self.rng.uniform(1, 9, len(self.numbers))
+        truth = np.arange(1.0, 1.0 + len(self.cases))
         error = truth * self.rng.uniform(0.01, 0.09, len(truth))
         test = float(np.sqrt(error.sum() / truth.sum()))
         own = {
@@ -92,16 +115,19 @@ class _Results:
             "parent": parent,
             "form": form,
             "frames": 1,
-            "test": test,
-            "hard": 1.1 * test,
-            "sums": np.stack([error, truth], axis=1).tolist(),
-            "headline": {"test": test, "hard": 1.1 * test},
+            "frame": None,
+            "interactions": 58,
+            "hard_in_training": False,
+            "tries": 5,
+            "sums": dict(zip(self.cases, np.stack([error, truth], axis=1).tolist(), strict=True)),
+            "headline": self.errors(test),
             "depth": {"depth": [0.0, 1.0], "mean_mm": [0.2, 0.1], "relative_l2": [0.2, 0.1]},
-            "violation": [0.01] * len(truth),
+            "violation": dict.fromkeys(self.cases, 0.01),
             "violation_mean": 0.01,
             "gate": 0.07,
             "gate_open": 0.0,
         }
+        own |= self.errors(test)
         return own | ({} if run else {"parameters": 1000, "train": 0.1, "validation": 0.2})
 
     def accuracy(self):
@@ -119,6 +145,7 @@ class _Results:
                 "best_epoch": 2,
                 "seconds": 60.0,
                 "threshold": 0.07,
+                "volume_scale": 1e3,
                 "train_gate_open": 0.0,
                 "validation_gate_open": 0.0,
             }
@@ -126,10 +153,11 @@ class _Results:
         return {
             "models": models,
             "runs": runs,
-            "numbers": self.numbers,
-            "hard": [4],
-            "force": [1.0, 2.0, 3.0, 4.0],
-            "fem_violation": [0.01, 0.02, 0.03, 0.04],
+            "trained_on": 58,
+            "subsets": self.subsets(),
+            "headline": self.subsets(),
+            "force": {case: 1.0 + n for n, case in enumerate(self.cases)},
+            "fem_violation": dict.fromkeys(self.cases, 0.02),
         }
 
     def run_time(self):
@@ -137,7 +165,7 @@ class _Results:
         names = [*models, *(name.replace(KERAS, "Keras call") for name in models)]
         names += [self.point(frame)["name"] for frame in (0.01, 0.25)]
         seconds = self.rng.uniform(1e-4, 1e-2, len(names))
-        keys = ("p50", "p90", "p99", "worst")
+        keys = ("p50", "p90", "p99", "worst", "bare")
         return {
             "seconds": {
                 name: dict.fromkeys(keys, float(s)) for name, s in zip(names, seconds, strict=True)
@@ -164,6 +192,8 @@ class _Results:
             "interactions": 4,
             "time_dependence": 0.2,
             "window": {"difference": -0.01, "low": None, "high": None},
+            "cases": ["test 1"],
+            "left_out": {"test 2": "inverted cell"},
             "answers": {"net": answer | {"overall": dict.fromkeys(shares, 0.5)}},
         }
         return {"trained_s": 0.25, "factor": 1.1, "short": part, "long": part}

@@ -17,10 +17,12 @@ from unet_fem.deployment.answers import answers
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.networks.files import save_model
 from unet_fem.networks.pod import linear, predict, reduced, truncated
+from unet_fem.study.dataset import headline, unseen
 from unet_fem.study.measure import accuracy, statistics
-from unet_fem.study.measure.judged import judged
+from unet_fem.study.measure.judged import judged, unseen_cases, unseen_samples
 from unet_fem.study.report import bars, sections
 from unet_fem.study.runs import KERAS
+from unet_fem.study.settings import Fem
 from unet_fem.study.steppers import Competitor, networks
 from unet_fem.training.depth import by_depth
 from unet_fem.training.samples import Samples, load_samples
@@ -193,21 +195,54 @@ def test_error_by_depth_is_that_of_the_layer(tiny_dataset):
     assert found["mean_mm"][1:] == pytest.approx([0] * (len(found["depth"]) - 1))
 
 
-def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(tiny_dataset):
-    dataset = open_dataset(tiny_dataset)
-    samples = load_samples(dataset, "test", None)
-    number = int(samples.interaction[0])
-    found = judged(
-        1.1 * samples.displacement, dataset, samples, {number: samples.displacement * 1.2}
-    )
-    assert found["test"] == pytest.approx(0.1, rel=1e-4) and found["hard"] == pytest.approx(
-        0.1, rel=1e-4
-    )
-    assert found["reference"][0][0] == number
-    assert np.sqrt(np.divide(*found["reference"][0][1])) == pytest.approx(0.1 / 1.2, rel=1e-4)
+def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(unseen_dataset):
+    """Each error is of its own interactions alone: usual ones 10 % off, the hard test 30 %, the one
+    of the hard set 50 %."""
+    dataset = open_dataset(unseen_dataset)
+    samples, frames = unseen_samples(dataset), len(dataset.time)
+    assert unseen_cases(dataset) == [("test", 1), ("test", 2), ("hard", 1)]
+    off = np.repeat([0.1, 0.3, 0.5], frames).astype("float32").reshape(-1, 1, 1, 1, 1)
+    truth = samples.displacement
+    found = judged((1 + off) * truth, dataset, samples, {("test", 1): truth[:frames] * 1.2})
+    assert found["usual"]["relative_l2"] == pytest.approx(0.1, rel=1e-4)
+    assert found["usual"]["count"] == 1 and found["usual"]["low"] is None
+    assert found["hard"]["count"] == 2 and found["hard"]["median"] == pytest.approx(0.4, rel=1e-4)
+    squares = np.array([found["sums"][case] for case in ("test 2", "hard 1")]).sum(axis=0)
+    assert found["hard"]["relative_l2"] == pytest.approx(np.sqrt(squares[0] / squares[1]))
+    assert 0.3 < found["hard"]["relative_l2"] < 0.5
+    assert np.sqrt(np.divide(*found["reference"]["test 1"])) == pytest.approx(0.1 / 1.2, rel=1e-4)
+    depth = np.array(found["depth"]["relative_l2"], float)
+    assert depth[~np.isnan(depth)] == pytest.approx(0.1, rel=1e-3)  # of the usual ones alone
+    assert list(found["violation"]) == ["test 1", "test 2", "hard 1"]
     json.dumps(found, allow_nan=False)
     with pytest.raises(InputError, match="not finite"):
-        judged(np.full_like(samples.displacement, np.nan), dataset, samples, {})
+        judged(np.full_like(truth, np.nan), dataset, samples, {})
+
+
+def test_usual_and_hard_are_disjoint_and_hold_all_that_is_unseen(unseen_dataset):
+    """Bug: "unseen" held the hard ones, and the headline number 80."""
+    dataset = open_dataset(unseen_dataset)
+    subsets = unseen(dataset)
+    assert subsets == {"usual": [("test", 1)], "hard": [("test", 2), ("hard", 1)]}
+    study = SimpleNamespace(fem=Fem((1,), hard=1))
+    assert headline(study, dataset) == {"usual": [("test", 1)], "hard": [("test", 2)]}
+    for numbers, remedy in (((1, 2), "has 2, a hard one"), ((5,), "no test interaction 5")):
+        with pytest.raises(InputError, match=remedy):
+            headline(SimpleNamespace(fem=Fem(numbers)), dataset)
+
+
+def test_errors_are_of_their_subsets_with_a_median_and_intervals():
+    sums = {f"test {n}": [0.01 * n, float(n)] for n in range(1, 31)} | {"hard 1": [9.0, 9.0]}
+    sums["test 30"] = [30.0, 30.0]  # one that rules the whole
+    subsets = {"usual": [f"test {n}" for n in range(1, 31)], "hard": ["hard 1", "hard 2"]}
+    found = statistics.errors(sums, subsets)
+    usual = found["usual"]
+    assert usual["median"] == pytest.approx(0.1) and usual["relative_l2"] > 0.25
+    assert usual["median_low"] == usual["median_high"] == pytest.approx(0.1)
+    assert usual["low"] < usual["relative_l2"] < usual["high"] and usual["count"] == 30
+    hard = found["hard"]
+    assert (hard["relative_l2"], hard["count"], hard["low"]) == (1.0, 1, None)
+    assert statistics.errors({}, subsets)["usual"]["relative_l2"] is None
 
 
 def made_up_accuracy(numbers=12):
@@ -215,31 +250,29 @@ def made_up_accuracy(numbers=12):
     better."""
     rng = np.random.default_rng(3)
     truth, error = rng.uniform(1, 9, numbers), rng.uniform(0.01, 0.03, (2, numbers))
-    model = {"violation": [0.01] * numbers, "violation_mean": 0.005, "gate_open": 0.25}
-    models = {
-        f"a{n}: {KERAS}": model | {"sums": np.stack([error[n] * truth, truth], 1).tolist()}
-        for n in range(2)
-    }
-    models |= {
-        f"b{n}: {KERAS}": model | {"sums": np.stack([0.81 * error[n] * truth, truth], 1).tolist()}
-        for n in range(2)
-    }
+    cases = [f"test {n}" for n in range(1, numbers + 1)]
+    model = {"violation": dict.fromkeys(cases, 0.01), "violation_mean": 0.005, "gate_open": 0.25}
+
+    def sums(error):
+        return {"sums": dict(zip(cases, np.stack([error * truth, truth], 1).tolist(), strict=True))}
+
+    models = {f"a{n}: {KERAS}": model | sums(error[n]) for n in range(2)}
+    models |= {f"b{n}: {KERAS}": model | sums(0.81 * error[n]) for n in range(2)}
     runs = {
         name.split(":")[0]: {
             "threshold": 0.02,
+            "volume_scale": 1e3,
             "train_gate_open": 0.5,
             "validation_gate_open": None,
         }
         for name in models
     }
-    force = np.arange(1.0, numbers + 1).tolist()
-    violation = [0.01] * 9 + [0.03] * 3
+    violation = dict(zip(cases, [0.01] * 9 + [0.03] * 3, strict=True))
     return {
         "models": models,
         "runs": runs,
-        "numbers": list(range(1, numbers + 1)),
-        "hard": [2, 3],
-        "force": force,
+        "subsets": {"usual": [cases[0], *cases[3:]], "hard": cases[1:3]},
+        "force": dict(zip(cases, np.arange(1.0, numbers + 1), strict=True)),
         "fem_violation": violation,
     }
 
@@ -259,17 +292,17 @@ def test_the_arms_of_the_volume_term_are_compared_in_pairs():
     assert [arm["label"] for arm in found] == [
         "without",
         "with",
-    ] and "test_difference" not in found[0]
-    for which in ("test", "strong", "hard"):
+    ] and "usual_difference" not in found[0]
+    for which in ("usual", "strong", "hard"):
         assert found[1][f"{which}_difference"]["change"] == pytest.approx(-0.1, rel=1e-6)
         assert found[1][f"{which}_difference"]["high"] < 0
         assert np.mean(found[1]["seeds"][which]) == pytest.approx(found[1][which]["relative_l2"])
     assert (
-        found[0]["fem_gate_open"] == 0.25
+        found[0]["volume_scale"] == 1e3
         and found[0]["train_gate_open"] == 0.5
         and found[0]["validation_gate_open"] is None
     )
-    assert statistics.subsets(made_up_accuracy())["strong"].tolist() == [9, 10, 11]
+    assert statistics.subsets(made_up_accuracy())["strong"] == ["test 11", "test 12"]
     assert len(bars.physics(found, "network").axes) == 3
 
 
@@ -277,9 +310,10 @@ def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset, monke
     """Its threshold of the volume loss is part of what is kept, too."""
     dataset, judgements = open_dataset(tiny_dataset), []
     monkeypatch.setattr(accuracy, "keras_answer", lambda *arguments: None)
+    monkeypatch.setattr(accuracy, "unseen_samples", lambda *arguments: None)
     monkeypatch.setattr(accuracy, "keep_field", lambda path, *others: write_text(path, ""))
     monkeypatch.setattr(
-        accuracy, "judged", lambda *arguments: judgements.append(arguments[-1]) or {"x": 1}
+        accuracy, "judged", lambda *own, **_: judgements.append(own[-1]) or {"x": 1}
     )
     study = SimpleNamespace(
         cache=tmp_path,
@@ -294,7 +328,7 @@ def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset, monke
             name="run",
             folder=tmp_path,
             model=SimpleNamespace(window=2),
-            loss=SimpleNamespace(volume_threshold=threshold),
+            loss=SimpleNamespace(volume_threshold=threshold, volume_of="all"),
         )
         competitor = Competitor("network", "CNN-LSTM", None, run="run", form=KERAS)
         found = accuracy._network(study, settings, "run", competitor, dataset, None, {})

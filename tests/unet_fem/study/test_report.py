@@ -91,7 +91,10 @@ def test_a_study_names_only_its_own_networks():
             "must differ from each other",
         ),
         ('main=[{label = "linear regression", run = "tiny"}]', "and from linear regression"),
-        ('order=[{better = "CNN-LSTM", worse = "ResNet", gain = 0.3}]', "'ResNet' is no label"),
+        (
+            'order=[{better = "CNN-LSTM", worse = "ResNet", gain = 0.3, says = "so"}]',
+            "'ResNet' is no label",
+        ),
         ('cnn_lstm="tiny"', "unknown key 'cnn_lstm'"),
     ],
 )
@@ -132,7 +135,10 @@ def test_the_fem_at_equal_error_and_in_equal_time():
             "kind": "network" if ":" in name else "regression",
             "family": "any",
             "run": name.split(":")[0] if ":" in name else None,
-            "headline": {"test": error, "hard": error},
+            "frame": None,
+            "interactions": 58,
+            "hard_in_training": False,
+            "headline": {which: {"relative_l2": error} for which in ("usual", "hard")},
         }
         for name, (_, error) in known.items()
     }

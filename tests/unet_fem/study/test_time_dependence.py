@@ -22,7 +22,7 @@ from unet_fem.study import dataset as interactions
 from unet_fem.study.measure import elastic as measure
 from unet_fem.study.measure.creep import judge
 from unet_fem.study.measure.elastic import elastic_answers
-from unet_fem.study.measure.time_dependence import run
+from unet_fem.study.measure.time_dependence import elastic_factor, run
 from unet_fem.study.report.time_dependence import draw
 from unet_fem.study.settings import Arm, Fem, Main, Network, Stability, Study
 
@@ -104,11 +104,12 @@ def test_errors_of_size_without_order_are_between_the_bounds(made_up):
 
 
 @pytest.fixture
-def study(tiny, tiny_dataset, tmp_path, monkeypatch):
+def study(tiny, unseen_dataset, tmp_path, monkeypatch):
     """A study of untrained networks on the tiny scene, its files in a folder of its own."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "scene.toml").write_text(config.dump_toml(tiny))
-    shutil.copy(tiny_dataset, "tiny.h5")
+    scene = config.merge(tiny, {"interactions": {"test": 2, "hard": [2, 2], "hard_set": 1}})
+    (tmp_path / "scene.toml").write_text(config.dump_toml(scene))
+    shutil.copy(unseen_dataset, "tiny.h5")
     (tmp_path / "run.toml").write_text(
         'name = "run"\nscene = "scene.toml"\ndata = "tiny.h5"\n[model]\nunits = 4\n'
         "[train]\nepochs = 1\n"
@@ -125,6 +126,8 @@ def study(tiny, tiny_dataset, tmp_path, monkeypatch):
         steps = network.settings.model.window
         folder = tmp_path / network.settings.folder
         folder.mkdir(parents=True)
+        (folder / "metrics.json").write_text("{}")
+        (folder / "config.toml").write_text(network.settings.toml())
         save_model(
             cnn_lstm(dataset.grid, 4, steps, **scale) if steps else unet(dataset.grid, 2, **scale),
             folder / "best.keras",
@@ -168,8 +171,14 @@ def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
             < part["answers"]["unet"]["overall"]["relative_l2"]
         )
     kept = {path: path.stat().st_mtime_ns for path in (study.cache / "elastic").iterdir()}
-    assert len(kept) == 1
-    elastic_answers(study, open_dataset("tiny.h5"), [1])
+    # the usual test, the long ones, and what the factor is fitted to
+    assert {path.name.rsplit("-", 1)[0] for path in kept} == {
+        "test-0001",
+        "test-0002",
+        "validation-0001",
+    }
+    assert result["short"]["cases"] == ["test 1"]
+    elastic_answers(study, open_dataset("tiny.h5"), [("test", 1)])
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     figure = draw(json.loads(json.dumps(result)))
     assert len(figure.axes) == 6
@@ -188,9 +197,9 @@ def test_interaction_that_the_elastic_tissue_cannot_bear_is_left_out_and_named(
         measure, "on_all_cores", lambda function, tasks, title: [function(*task) for task in tasks]
     )
     with pytest.raises(
-        InputError, match="stops in every test interaction of .*tiny.h5; lower contact.force"
+        InputError, match="stops in every interaction asked of .*tiny.h5; lower contact.force"
     ):
-        elastic_answers(study, dataset, [1])
+        elastic_answers(study, dataset, [("test", 1)])
     (path,) = (study.cache / "elastic").iterdir()
     assert str(np.load(path)["stopped"]) == "inverted cell"
 
@@ -203,3 +212,24 @@ def test_long_scene_with_other_frames_is_refused(study, tiny, tmp_path):
         InputError, match="0.1 s apart.*give it the mesh and frames.interval of scene.toml"
     ):
         run(replace(study, long_scene="other.toml", long_data="other.h5"))
+
+
+def test_the_factor_of_the_elastic_answer_is_fitted_to_validation_interactions(study, monkeypatch):
+    """Bug: it was fitted to the very tests that it was judged on."""
+    dataset, asked = open_dataset("tiny.h5"), []
+    elastic = dataset.read("validation")["displacement"][0] / 1.5
+
+    def answers(study, dataset, cases):
+        asked.extend(cases)
+        return {case: elastic for case in cases}, {}
+
+    monkeypatch.setattr("unet_fem.study.measure.time_dependence.elastic_answers", answers)
+    assert elastic_factor(study, dataset) == pytest.approx(1.5, rel=1e-5)
+    assert asked == [("validation", 1)]
+
+
+def test_an_untrained_network_is_left_out_and_its_window_with_it(study):
+    (study.network("lstm_3").folder / "metrics.json").unlink()
+    result = run(study)
+    assert "lstm_3" not in result["short"]["answers"] and "lstm" in result["short"]["answers"]
+    assert result["short"]["window"] is None

@@ -1,6 +1,8 @@
 """The volume of a deformed mesh and the losses and metrics made of it."""
 
+import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import keras
 import numpy as np
@@ -8,12 +10,16 @@ import pytest
 import tensorflow as tf
 
 from fem.errors import InputError
+from fem.mesh.shapes import tumour
 from unet_fem.training.losses import (
     RelativeError,
     deformed_volume,
     direction_loss,
     gate_open,
+    volume_at_rest,
     volume_loss,
+    volume_scale,
+    volume_surface,
     volume_violation,
 )
 
@@ -249,3 +255,44 @@ def test_faces_that_bound_no_volume_are_refused():
         volume_loss(POINTS, FACES[:, ::-1])
     with pytest.raises(InputError, match="0 to 35 of 35"):
         volume_loss(POINTS[:-1], FACES)
+
+
+def of_the_tumour():
+    """A dataset of the published mesh with nothing in it, as far as the volume needs one."""
+    mesh = tumour()
+    points = mesh.grid.to_grid(1e3 * mesh.points)
+    surface = points.reshape(-1, 3), mesh.grid_index[mesh.boundary_faces]
+    return SimpleNamespace(fem_mesh=mesh, surface=surface, path="made-up.h5", grid=points.shape[:3])
+
+
+def test_the_volume_of_the_tumour_is_that_of_its_cells_alone():
+    """The paper says both: 7 % of the whole are the 12.1 mm3 of its text."""
+    dataset = of_the_tumour()
+    cell = EDGE**3
+    for of, count in (("all", 1314), ("tumour", 148)):
+        surface = volume_surface(dataset, of)
+        assert volume_at_rest(*surface) == pytest.approx(count * cell, rel=1e-6)
+    assert 0.07 * volume_at_rest(*dataset.surface) == pytest.approx(12.1, abs=0.02)
+    moved = np.zeros((1, *dataset.grid, 3))
+    own = np.unravel_index(np.unique(volume_surface(dataset, "tumour")[1]), dataset.grid)
+    moved[0][own] = 0.1 * dataset.surface[0].reshape(*dataset.grid, 3)[own]
+    found = deformed_volume(moved, *volume_surface(dataset, "tumour"))
+    assert float(found[0]) == pytest.approx(1.1**3 * 148 * cell, rel=1e-6)
+
+
+def test_a_volume_of_cells_that_are_not_there_is_refused():
+    dataset = of_the_tumour()
+    bare = dataclasses.replace(dataset.fem_mesh, cell_sets={})
+    for mesh, remedy in ((bare, "cell sets none; set it to 'all'"),):
+        with pytest.raises(InputError, match=remedy):
+            volume_surface(SimpleNamespace(fem_mesh=mesh, path="x.h5"), "tumour")
+
+
+def test_the_scale_of_the_term_is_that_of_two_answers_losses():
+    """Of one just beyond its gate, which is wrong in nothing else, over one that stays at rest."""
+    truth = stretched(1.07 + 1e-9)
+    loss = volume_loss(POINTS, FACES, weight=0.1, threshold=0.07)
+    scale = volume_scale(POINTS, FACES, 0.1, 0.07, truth)
+    beyond = float(loss(truth, truth)[0])
+    at_rest = float(loss(truth, np.zeros_like(truth))[0])
+    assert beyond / at_rest == pytest.approx(scale, rel=1e-4)

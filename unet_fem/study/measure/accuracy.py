@@ -1,5 +1,4 @@
-"""Errors of every competitor that is not the FEM itself, on every test interaction, so that any
-subset can be judged later.
+"""Errors of every competitor but the FEM's loops, on every unseen interaction.
 
 A competitor has an entry for each form that it is deployed in. Keras' answers stand under
 "tf.function", the form that is timed.
@@ -11,71 +10,90 @@ import numpy as np
 
 from fem.cache import once
 from fem.data.dataset import Dataset
-from unet_fem.deployment.answers import answers
 from unet_fem.deployment.exported import files_there
 from unet_fem.deployment.forms import CALL
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.files import load_model
-from unet_fem.study.dataset import hard_numbers, study_dataset
+from unet_fem.study.dataset import (
+    Case,
+    everything,
+    frame_forces,
+    frames_between,
+    headline,
+    named,
+    study_dataset,
+    unseen,
+)
 from unet_fem.study.keys import key
-from unet_fem.study.measure import sums
 from unet_fem.study.measure.fields import drawn_regression, drawn_runs, keep_field
-from unet_fem.study.measure.judged import judged, run_facts
+from unet_fem.study.measure.judged import (
+    by_case,
+    judged,
+    run_facts,
+    unseen_cases,
+    unseen_samples,
+)
 from unet_fem.study.measure.reference import references
+from unet_fem.study.measure.statistics import errors
 from unet_fem.study.runs import KERAS, trained_runs
 from unet_fem.study.settings import Study
-from unet_fem.study.steppers import Competitor, networks, regressions
+from unet_fem.study.steppers import (
+    Competitor,
+    answering,
+    followed,
+    networks,
+    regressions,
+    trained_on,
+)
 from unet_fem.training.inputs import run_input
 from unet_fem.training.judge import predict, rest_volume
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import Settings
 
-VERSION = 1
-Truth = dict[int, np.ndarray]
+VERSION = 2
+Truth = dict[Case, np.ndarray]
 
 
 def run(study: Study) -> dict:
-    """{"models": {name: entry}, "runs": {run: facts}, "numbers": of the test interactions, "hard",
-    "headline": some of them, "force": largest total force of each, mN, "fem_violation": largest
-    change of volume of each in the FEM}.
+    """{"models": {name: entry}, "runs": {run: facts}, "trained_on": interactions of the split that
+    networks and regressions learn from, "subsets", "headline": {"usual", "hard":
+    names of unseen interactions}, "force": {name: largest total force, mN}, "fem_violation":
+    {name: largest change of volume in the FEM}}.
 
-    entry: the facts of a Competitor, what `judged` says, headline {test, hard}: relative L2 against
-    the reference, and for some field: the file in the cache that holds the answer; a regression
-    also has train and validation. facts of a run: kind, family, parent, frames and what `run_facts`
-    says. Runs that are not trained yet are left out.
+    entry: the facts of a Competitor, what `judged` says, headline: {"usual", "hard"} against the
+    reference, see statistics.errors, and for some field: the file in the cache that holds the
+    answer; a regression also has train and validation. facts of a run: kind, family, parent,
+    frames and what `run_facts` says. Runs that are not trained yet are left out.
     """
     dataset = study_dataset(study)
     truth = references(study, dataset)
-    test = load_samples(dataset, "test", None)
+    samples = unseen_samples(dataset)
     models, runs = {}, {}
     for settings, parent in trained_runs(study).values():
         own = networks(settings, parent, dataset)
         del own[f"{settings.name}: {CALL}"]  # answers as KERAS does
         for name, competitor in own.items():
-            models[name] = _network(study, settings, name, competitor, dataset, test, truth)
+            models[name] = _network(study, settings, name, competitor, dataset, samples, truth)
         facts = next(iter(own.values())).facts()
         del facts["form"]
         runs[settings.name] = facts | _facts(study, settings, dataset)
     for name, competitor in regressions(study, dataset).items():
-        models[name] = _regression(study, name, competitor, dataset, test, truth)
-    hard, chosen = hard_numbers(dataset), list(study.fem.interactions)
+        models[name] = _regression(study, name, competitor, dataset, samples, truth)
+    for name, competitor in answering(study, dataset).items():
+        models[name] = _answer(study, name, competitor, dataset, samples, truth)
+    chosen = named(headline(study, dataset))
     for model in models.values():
-        pairs = dict(model["reference"])
-        model["headline"] = {
-            "test": sums.relative_l2(pairs, chosen),
-            "hard": sums.relative_l2(pairs, hard),
-        }
-    shape = -1, len(dataset.time)
-    force = np.linalg.norm(test.force, axis=-1).sum(axis=(1, 2, 3), dtype=float)
-    change = np.abs(test.volume / rest_volume(dataset) - 1)
+        model["headline"] = errors(model["reference"], chosen)
+    cases = unseen_cases(dataset)
+    force = np.linalg.norm(samples.force, axis=-1).sum(axis=(1, 2, 3), dtype=float)
     return {
         "models": models,
         "runs": runs,
-        "numbers": dataset.number[dataset.split == "test"].tolist(),
-        "hard": hard,
+        "trained_on": trained_on(dataset),
+        "subsets": named(unseen(dataset)),
         "headline": chosen,
-        "force": force.reshape(shape).max(axis=1).tolist(),
-        "fem_violation": change.reshape(shape).max(axis=1).tolist(),
+        "force": by_case(cases, force),
+        "fem_violation": by_case(cases, np.abs(samples.volume / rest_volume(dataset) - 1)),
     }
 
 
@@ -88,11 +106,12 @@ def keras_answer(path: Path, samples: Samples, dataset: Dataset) -> np.ndarray:
     return predict(load_model(path), samples, dataset)[0]
 
 
-def _network(study, settings, name, competitor, dataset, test, truth):
+def _network(study, settings, name, competitor, dataset, samples, truth):
     """The entry of one form of a run, kept until its file, the dataset or the reference changes."""
     batched = competitor.form == KERAS
     path = settings.folder / "best.keras" if batched else files_there(settings)[competitor.form]
-    made_from = _key(study, settings, truth, competitor.form, [dataset.path, path])
+    gate, volume_of = settings.loss.volume_threshold, settings.loss.volume_of
+    made_from = _key(study, truth, (gate, volume_of, competitor.form), [dataset.path, path])
     entry = study.cache / "accuracy" / f"{made_from}.json"
     field = entry.with_suffix(".npz") if batched and settings.name in drawn_runs(study) else None
     if field and not field.is_file():
@@ -102,27 +121,27 @@ def _network(study, settings, name, competitor, dataset, test, truth):
         print(f"judging {name}", flush=True)
         if batched:
             seen = run_input(settings, dataset)
-            samples = load_samples(dataset, "test", settings.model.window, seen)
-            answer = keras_answer(path, samples, dataset)
+            own = unseen_samples(dataset, settings.model.window, seen)
+            answer = keras_answer(path, own, dataset)
         else:
-            answer = _followed(competitor, dataset, "test")[0]
+            answer = _followed(competitor, samples.force, dataset)
         if field:
             keep_field(field, dataset, answer)
-        return judged(answer, dataset, test, truth, settings.loss.volume_threshold)
+        return judged(answer, dataset, samples, truth, gate, volume_of=volume_of)
 
     found = competitor.facts() | once(entry, made_from, judge)
     return found | ({"field": str(field.relative_to(study.cache))} if field else {})
 
 
-def _regression(study, name, competitor, dataset, test, truth):
+def _regression(study, name, competitor, dataset, samples, truth):
     """The entry of a regression; its fit takes seconds, so that it is not kept."""
     print(f"judging {name}", flush=True)
-    answer, _ = _followed(competitor, dataset, "test")
-    splits = {
-        split: relative_l2(*_followed(competitor, dataset, split))
-        for split in ("train", "validation")
-    }
-    found = competitor.facts() | splits | judged(answer, dataset, test, truth)
+    answer = _followed(competitor, samples.force, dataset)
+    splits = {}
+    for split in ("train", "validation"):
+        own = load_samples(dataset, split, None)
+        splits[split] = relative_l2(_followed(competitor, own.force, dataset), own.displacement)
+    found = competitor.facts() | splits | judged(answer, dataset, samples, truth)
     if name != drawn_regression(study):
         return found
     field = study.cache / "accuracy" / f"{key(name, [dataset.path], VERSION)}.npz"
@@ -130,13 +149,40 @@ def _regression(study, name, competitor, dataset, test, truth):
     return found | {"field": str(field.relative_to(study.cache))}
 
 
-def _followed(
-    competitor: Competitor, dataset: Dataset, split: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """(answer, truth), each (S, nx, ny, nz, 3) mm, frame by frame."""
-    own = dataset.read(split, ("force", "displacement"))
-    answer = answers(competitor.make(), own["force"])
-    return answer, own["displacement"].reshape(answer.shape)
+def _answer(study, name, competitor, dataset, samples, truth):
+    """The entry of one of study.answers; one of frames shorter than the dataset's is judged on the
+    interactions of the headline alone."""
+    made_from = _key(study, truth, competitor.facts(), [dataset.path, competitor.file or ""])
+    entry = study.cache / "accuracy" / f"{made_from}.json"
+    interval = dataset.scene.frames.interval
+    every = frames_between(dataset.scene, competitor.frame or interval)
+
+    def judge():
+        print(f"judging {name}", flush=True)
+        if every == 1:
+            answer = _followed(competitor, samples.force, dataset)
+            return judged(answer, dataset, samples, truth)
+        stepper, cases = competitor.make(), everything(headline(study, dataset))
+        answer = np.zeros((len(cases), len(dataset.time), *dataset.grid, 3), "float32")
+        for own, case in zip(answer, cases, strict=True):
+            forces = frame_forces(dataset, *case, competitor.frame)
+            own[1:] = followed(stepper, forces, competitor.frame)[every - 1 :: every]
+        order = {case: n for n, case in enumerate(unseen_cases(dataset))}
+        frames = np.arange(len(dataset.time))
+        rows = np.concatenate([order[case] * len(frames) + frames for case in cases])
+        answer = answer.reshape(-1, *answer.shape[2:])
+        return judged(answer, dataset, samples.select(rows), truth, cases=cases)
+
+    return competitor.facts() | once(entry, made_from, judge)
+
+
+def _followed(competitor: Competitor, force: np.ndarray, dataset: Dataset) -> np.ndarray:
+    """(S, nx, ny, nz, 3) mm, frame by frame, of forces (S, nx, ny, nz, 3) mN of whole
+    interactions."""
+    stepper, frames = competitor.make(), len(dataset.time)
+    parts = force.reshape(-1, frames, *force.shape[1:])
+    interval = dataset.scene.frames.interval
+    return np.concatenate([followed(stepper, own, interval) for own in parts])
 
 
 def _facts(study: Study, settings: Settings, dataset: Dataset) -> dict:
@@ -146,6 +192,6 @@ def _facts(study: Study, settings: Settings, dataset: Dataset) -> dict:
     return once(path, made_from, lambda: run_facts(settings, dataset))
 
 
-def _key(study, settings, truth, form, files):
-    settings = (study.fem.reference_safety, sorted(truth), settings.loss.volume_threshold, form)
-    return key(settings, files, VERSION)
+def _key(study, truth, settings, files):
+    chosen = (study.fem.reference_safety, sorted(truth), settings)
+    return key(chosen, files, VERSION)

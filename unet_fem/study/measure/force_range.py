@@ -19,7 +19,7 @@ from unet_fem.study.dataset import study_dataset
 from unet_fem.study.measure.judged import volumes
 from unet_fem.study.measure.multiplied import simulated
 from unet_fem.study.measure.tuning import tuned
-from unet_fem.study.runs import KERAS
+from unet_fem.study.runs import KERAS, trained_runs
 from unet_fem.study.settings import LINEAR, Study
 from unet_fem.study.steppers import (
     Competitor,
@@ -111,7 +111,7 @@ class Tables:
             reached = len(answer)
             error = np.square(answer[:, free] - truth[:reached]).sum(axis=(1, 2))
             squared[row, :reached] += error
-            change = np.abs(volumes(self.dataset, answer) / self.rest - 1)
+            change = np.abs(volumes(self.dataset.surface, answer) / self.rest - 1)
             volume[row, :reached] = np.maximum(volume[row, :reached], change)
             stopped[row, reached:here] += 1
 
@@ -147,7 +147,10 @@ def shown_competitors(study: Study, dataset: Dataset) -> dict[str, Competitor]:
     the main networks, each also in int8 where it is exported."""
     window = study.network(study.main[0].run).model.window
     shown = {LINEAR: linear_regressions(dataset, [window])[linear_name(window)]}
+    trained = trained_runs(study)
     for main in study.main:
+        if main.run not in trained:
+            continue
         forms = networks(study.network(main.run), None, dataset)
         shown[main.label] = forms[f"{main.run}: {KERAS}"]
         if f"{main.run}: int8" in forms:

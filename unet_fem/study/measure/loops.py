@@ -6,7 +6,7 @@ from fem.cache import once
 from fem.data.dataset import Dataset
 from fem.errors import SolverStopped
 from fem.solver.frame_loop import FrameLoop, LoopSettings
-from unet_fem.study.dataset import frame_forces, frames_between
+from unet_fem.study.dataset import Case, frame_forces, frames_between
 from unet_fem.study.keys import key
 from unet_fem.study.measure.reference import references
 from unet_fem.study.measure.sums import sums_of_squares
@@ -27,20 +27,20 @@ def loop(dataset: Dataset, settings: LoopSettings) -> FrameLoop:
     return FrameLoop(dataset.fem_mesh, dataset.material, settings)
 
 
-def judge(study: Study, dataset: Dataset, settings: LoopSettings, split: str, number: int) -> dict:
+def judge(study: Study, dataset: Dataset, settings: LoopSettings, case: Case) -> dict:
     """Simulate one interaction in frames: {"sums": [error, truth] mm2} against the reference, or
     {"stopped": reason, "time": s}.
 
     With it come "mass_scaling", "damping_rate" and "cells". Kept in a file of the cache.
     """
-    made_from = (study.fem.reference_safety, settings, split, number)
+    made_from = (study.fem.reference_safety, settings, *case)
     name = key(made_from, [dataset.path], VERSION)
     path = study.cache / "fixed_latency" / f"{name}.json"
-    return once(path, name, lambda: _judge(study, dataset, settings, split, number))
+    return once(path, name, lambda: _judge(study, dataset, settings, case))
 
 
-def _judge(study, dataset, settings, split, number):
-    truth = references(study, dataset, split, [number])[number]
+def _judge(study, dataset, settings, case):
+    truth = references(study, dataset, [case])[case]
     every = frames_between(dataset.scene, settings.frame)
     stepper, answer = loop(dataset, settings), np.zeros_like(truth)
     verdict = {
@@ -49,7 +49,7 @@ def _judge(study, dataset, settings, split, number):
         "cells": int(stepper.solver.mesh.n_cells),
     }
     try:
-        for k, force in enumerate(frame_forces(dataset, split, number, settings.frame), 1):
+        for k, force in enumerate(frame_forces(dataset, *case, settings.frame), 1):
             displacement = stepper.step(force)
             if k % every == 0:
                 answer[k // every] = displacement

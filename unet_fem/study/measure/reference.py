@@ -12,27 +12,36 @@ import numpy as np
 
 from fem.data.dataset import Dataset
 from fem.data.scene import Scene, SolverChoice
-from unet_fem.study.dataset import hard_numbers, judged_numbers, study_dataset
+from unet_fem.study.dataset import (
+    Case,
+    everything,
+    headline,
+    in_order,
+    name_of,
+    named,
+    study_dataset,
+)
 from unet_fem.study.measure.refinement import refinement
-from unet_fem.study.measure.sums import distance, relative_l2, sums_of_squares
+from unet_fem.study.measure.statistics import errors
+from unet_fem.study.measure.sums import distance, sums_of_squares
 from unet_fem.study.measure.variants import variant
 from unet_fem.study.settings import Study
 
 
 def references(
-    study: Study, dataset: Dataset, split: str = "test", numbers: Iterable[int] | None = None
-) -> dict[int, np.ndarray]:
-    """{number: displacement (frames, nx, ny, nz, 3) float32 mm} of interactions of `split`, on the
-    grid at the dataset's frames.
+    study: Study, dataset: Dataset, cases: Iterable[Case] | None = None
+) -> dict[Case, np.ndarray]:
+    """{case: displacement (frames, nx, ny, nz, 3) float32 mm} of interactions, on the grid at the
+    dataset's frames.
 
-    numbers: of the interactions; for None those of study.fem and the hard ones. Computed in
-    parallel where they are missing. One in which the solver stops (a cell turned inside out under
-    the hardest push, which lighter settings may not see) has no reference.
+    cases: for None those of the headline. Computed in parallel where they are missing. One in
+    which the solver stops (a cell turned inside out under the hardest push, which lighter settings
+    may not see) has no reference.
     """
-    numbers = judged_numbers(study, dataset) if numbers is None else sorted(numbers)
+    cases = everything(headline(study, dataset)) if cases is None else cases
     choice = converged(dataset.scene, study.fem.reference_safety)
-    found = variant(study, dataset, "reference", choice, numbers, split)
-    return {number: field for number, field in found.items() if field is not None}
+    found = variant(study, dataset, "reference", choice, cases)
+    return {case: field for case, field in found.items() if field is not None}
 
 
 def converged(scene: Scene, safety: float) -> SolverChoice:
@@ -48,28 +57,28 @@ def run(study: Study) -> dict:
     """The dataset's distance to the reference, and the reference's own errors (relative L2 over
     free nodes and frames).
 
-    stopped: interactions without a reference; half_step: with half the time step; refined: see
+    subsets: {"usual", "hard": names}, of which `stopped` have no reference; dataset: see
+    statistics.errors; half_step: with half the time step; refined: see
     unet_fem.study.measure.refinement, on interactions that did not stop there.
     """
-    dataset = study_dataset(study)
+    dataset, subsets = study_dataset(study), headline(study, study_dataset(study))
     truth = references(study, dataset)
-    fields = dataset.read("test", ("displacement",), list(truth))["displacement"]
-    own = dict(zip(truth, fields, strict=True))
-    sums = {number: sums_of_squares(own[number], truth[number], dataset) for number in truth}
-    chosen = [*study.fem.interactions[:2], *hard_numbers(dataset)[:1]]
-    few = [number for number in dict.fromkeys(chosen) if number in truth]
+    own: dict[Case, np.ndarray] = {}
+    for split in ("test", "hard"):
+        numbers = in_order(dataset, split, truth)
+        if numbers:
+            fields = dataset.read(split, ("displacement",), numbers)["displacement"]
+            own |= {(split, n): field for n, field in zip(numbers, fields, strict=True)}
+    sums = {name_of(case): sums_of_squares(own[case], truth[case], dataset) for case in truth}
+    chosen = [*subsets["usual"][:2], *subsets["hard"][:1]]
+    few = [case for case in chosen if case in truth]
     few = few[-study.fem.checked :]  # the refined mesh costs sixteen-fold
     half = converged(dataset.scene, study.fem.reference_safety / 2)
     result = {
-        "numbers": list(truth),
-        "stopped": sorted(set(judged_numbers(study, dataset)) - set(truth)),
-        "hard_numbers": hard_numbers(dataset),
+        "subsets": named(subsets),
+        "stopped": [name_of(case) for case in everything(subsets) if case not in truth],
         "safety": study.fem.reference_safety,
-        "dataset": {
-            "test": relative_l2(sums, study.fem.interactions),
-            "hard": relative_l2(sums, hard_numbers(dataset)),
-            "sums": {str(number): pair for number, pair in sums.items()},
-        },
+        "dataset": errors(sums, named(subsets)) | {"sums": sums},
         "half_step": distance(truth, variant(study, dataset, "half_step", half, few), dataset),
     }
     if dataset.scene.mesh.kind != "file":

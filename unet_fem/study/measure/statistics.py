@@ -11,11 +11,41 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import bootstrap
 
+from unet_fem.study.measure.sums import Sums
+from unet_fem.study.measure.sums import relative_l2 as relative_sums
 from unet_fem.study.runs import KERAS
 from unet_fem.study.settings import Study
 
-RESAMPLES = 9999
-STRONG = 0.25  # share of the test interactions that count as strong, by their largest total force
+RESAMPLES = 4999
+LEVEL = 0.95  # of all intervals
+STRONG = 0.25  # share of the usual interactions that count as strong, by their largest total force
+
+
+def errors(sums: Sums, subsets: dict[str, list[str]]) -> dict[str, dict]:
+    """{subset: error} of each of `subsets` {name: interactions}, over those that `sums` has.
+
+    An error is {"relative_l2", "low", "high"} over all frames together, "median" of the relative
+    L2 of each interaction with "median_low" and "median_high", both intervals of 95 % by drawing
+    interactions with replacement, and "count" of interactions; None where there are too few.
+    """
+    return {name: _error(sums, cases) for name, cases in subsets.items()}
+
+
+def _error(sums, cases):
+    pairs = np.array([sums[case] for case in cases if case in sums]).reshape(-1, 2)
+    if not len(pairs):
+        names = ("relative_l2", "low", "high", "median", "median_low", "median_high")
+        return dict.fromkeys(names) | {"count": 0}
+    error, truth = pairs.T
+    median = _bootstrap(
+        lambda e, t, axis=-1: np.median(np.sqrt(e / t), axis=axis), (error, truth), "median"
+    )
+    return interval(error[None], truth) | {
+        "median": median["median"],
+        "median_low": median["low"],
+        "median_high": median["high"],
+        "count": len(pairs),
+    }
 
 
 def relative_l2(
@@ -64,6 +94,7 @@ def _bootstrap(statistic: Callable, data: tuple, name: str) -> dict:
     # percentiles, since the bias-corrected interval is undefined where two models answer alike
     settings = {
         "n_resamples": RESAMPLES,
+        "confidence_level": LEVEL,
         "batch": 500,
         "method": "percentile",
         "random_state": np.random.default_rng(1),
@@ -75,36 +106,32 @@ def _bootstrap(statistic: Callable, data: tuple, name: str) -> dict:
     }
 
 
-def subsets(accuracy: dict) -> dict[str, np.ndarray]:
-    """{"test", "strong", "hard": rows of the test interactions}: all, the quarter with the largest
-    forces, those beyond training."""
-    numbers, force = np.array(accuracy["numbers"]), np.array(accuracy["force"])
-    strong = np.sort(np.argsort(-force, kind="stable")[: max(1, round(STRONG * len(force)))])
-    return {
-        "test": np.arange(len(numbers)),
-        "strong": strong,
-        "hard": np.flatnonzero(np.isin(numbers, accuracy["hard"])),
-    }
+def subsets(accuracy: dict) -> dict[str, list[str]]:
+    """{"usual", "strong", "hard": names of unseen interactions}: of the usual ones also the quarter
+    with the largest forces."""
+    usual, force = accuracy["subsets"]["usual"], accuracy["force"]
+    strongest = sorted(usual, key=lambda case: -force[case])
+    strong = strongest[: max(1, round(STRONG * len(usual)))]
+    return accuracy["subsets"] | {"strong": [case for case in usual if case in strong]}
 
 
-def sums(accuracy: dict, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """(errors (len(names), I), truth (I,)) in mm2 of models of the accuracy stage."""
-    pairs = np.array([accuracy["models"][name]["sums"] for name in names])  # (M, I, 2)
+def sums(accuracy: dict, names: list[str], cases: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """(errors (len(names), I), truth (I,)) in mm2 of models of the accuracy stage on `cases`."""
+    own = [[accuracy["models"][name]["sums"][case] for case in cases] for name in names]
+    pairs = np.array(own).reshape(len(names), len(cases), 2)
     return pairs[..., 0], pairs[0, :, 1]
 
 
 def intervals(accuracy: dict, names: list[str], base: list[str] | None = None) -> dict:
-    """{"test", "strong", "hard": interval} of the models `names`, seeds of one another;
-    "test_difference", ... to the models `base`."""
-    errors, truth = sums(accuracy, names)
-    rows = subsets(accuracy)
-    found = {which: interval(errors[:, some], truth[some]) for which, some in rows.items()}
-    if base is not None:
-        other, _ = sums(accuracy, base)
-        found |= {
-            f"{which}_difference": difference(errors[:, some], other[:, some], truth[some])
-            for which, some in rows.items()
-        }
+    """{"usual", "strong", "hard": interval} of the models `names`, seeds of one another;
+    "usual_difference", ... to the models `base`."""
+    found = {}
+    for which, cases in subsets(accuracy).items():
+        own, truth = sums(accuracy, names, cases)
+        found[which] = interval(own, truth)
+        if base is not None:
+            other, _ = sums(accuracy, base, cases)
+            found[f"{which}_difference"] = difference(own, other, truth)
     return found
 
 
@@ -114,9 +141,9 @@ def physics(study: Study, accuracy: dict) -> list[dict]:
 
     All of `intervals`, differences for all but the first; seeds: {subset: [relative L2 of each
     run]}; train_gate_open,
-    validation_gate_open, test_gate_open: shares of samples beyond the arm's threshold, in training
-    as a mean over the epochs; violation_mean and violation_max on the test interactions;
-    fem_gate_open: share of the test interactions whose own FEM volume is beyond it.
+    validation_gate_open, unseen_gate_open: shares of samples beyond the arm's threshold, in
+    training as a mean over the epochs; violation_mean and violation_max on the unseen
+    interactions; volume_scale: of the first run, see losses.volume_scale.
     """
     found, first = [], None
     for arm in study.physics:
@@ -136,24 +163,19 @@ def physics(study: Study, accuracy: dict) -> list[dict]:
                 "runs": runs,
                 "threshold": threshold,
                 "seeds": {
-                    which: [_error(model, rows) for model in models]
-                    for which, rows in subsets(accuracy).items()
+                    which: [relative_sums(model["sums"], cases) for model in models]
+                    for which, cases in subsets(accuracy).items()
                 },
                 "train_gate_open": _mean(facts, "train_gate_open"),
                 "validation_gate_open": _mean(facts, "validation_gate_open"),
-                "test_gate_open": _mean(models, "gate_open"),
+                "unseen_gate_open": _mean(models, "gate_open"),
                 "violation_mean": _mean(models, "violation_mean"),
-                "violation_max": max(max(model["violation"]) for model in models),
-                "fem_gate_open": float(np.mean(np.array(accuracy["fem_violation"]) > threshold)),
+                "violation_max": max(max(m["violation"].values()) for m in models),
+                "volume_scale": facts[0]["volume_scale"],
             }
         )
         first = first or names
     return found
-
-
-def _error(model, rows):
-    error, truth = np.array(model["sums"])[rows].sum(axis=0)
-    return float(np.sqrt(error / truth))
 
 
 def _mean(entries, key):

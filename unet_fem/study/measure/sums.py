@@ -5,8 +5,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from fem.data.dataset import Dataset
+from unet_fem.study.dataset import Case, name_of
 
-Sums = dict[int, list[float]]  # {number of an interaction: [error, truth] in mm2}
+Sums = dict[str, list[float]]  # {name of an interaction: [error, truth] in mm2}
 
 
 def sums_of_squares(displacement: np.ndarray, truth: np.ndarray, dataset: Dataset) -> list[float]:
@@ -19,23 +20,23 @@ def sums_of_squares(displacement: np.ndarray, truth: np.ndarray, dataset: Datase
     ]
 
 
-def relative_l2(sums: Sums, numbers: Iterable[int]) -> float | None:
-    """sqrt(sum error / sum truth) over the interactions `numbers` that `sums` has; None if it has
+def relative_l2(sums: Sums, names: Iterable[str]) -> float | None:
+    """sqrt(sum error / sum truth) over the interactions `names` that `sums` has; None if it has
     none."""
-    pairs = np.array([sums[number] for number in numbers if number in sums])
+    pairs = np.array([sums[name] for name in names if name in sums])
     return float(np.sqrt(pairs[:, 0].sum() / pairs[:, 1].sum())) if len(pairs) else None
 
 
 def distance(
-    fields: Mapping[int, np.ndarray | None],
-    truth: Mapping[int, np.ndarray | None],
+    fields: Mapping[Case, np.ndarray | None],
+    truth: Mapping[Case, np.ndarray | None],
     dataset: Dataset,
 ) -> dict:
-    """{"numbers", "relative_l2"}: of the {number: field} to the truth, over the interactions that
-    did not stop in either."""
+    """{"cases": names, "relative_l2"}: of the {case: field} to the truth, over the interactions
+    that did not stop in either."""
     sums = {
-        number: sums_of_squares(own, field, dataset)
-        for number, field in truth.items()
-        if field is not None and (own := fields[number]) is not None
+        name_of(case): sums_of_squares(own, field, dataset)
+        for case, field in truth.items()
+        if field is not None and (own := fields[case]) is not None
     }
-    return {"numbers": list(sums), "relative_l2": relative_l2(sums, list(sums))}
+    return {"cases": list(sums), "relative_l2": relative_l2(sums, sums)}

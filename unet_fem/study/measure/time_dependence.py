@@ -11,15 +11,16 @@ import numpy as np
 
 from fem.data.dataset import Dataset
 from fem.errors import InputError
-from unet_fem.deployment.answers import answers as frame_by_frame
-from unet_fem.study.dataset import judged_numbers, study_dataset
+from unet_fem.study.dataset import Case, name_of, study_dataset
 from unet_fem.study.measure.creep import dot, fields, judge
 from unet_fem.study.measure.elastic import elastic_answers
 from unet_fem.study.measure.statistics import difference
-from unet_fem.study.runs import KERAS
+from unet_fem.study.runs import KERAS, trained_runs
 from unet_fem.study.settings import Study
 from unet_fem.study.steppers import (
     Competitor,
+    answering,
+    followed,
     linear_name,
     linear_regressions,
     networks,
@@ -27,78 +28,98 @@ from unet_fem.study.steppers import (
 from unet_fem.training.run import ensure_dataset
 
 Labelled = tuple[str, np.ndarray]
+FACTOR_FROM = 8  # validation interactions that the factor of the scaled elastic answer is fitted to
 
 
 def run(study: Study) -> dict:
     """{"trained_s": length of the networks' interactions, "factor": ..., "short": ..., "long":
     ...}.
 
-    short: the judged test interactions of the networks' own dataset; long: those of
-    study.long_data. Each as `judge` gives it, with "numbers" of the interactions, "left_out":
-    {number: why the elastic tissue stopped in it} and "window": the difference that the longer
-    window makes, see `difference`. factor: the one number times which the elastic answer
-    comes closest to the short interactions: the best that can be known without memory, but for the
+    short: the usual interactions of the headline; long: those of study.long_data. Each as `judge`
+    gives it, with "cases": names of the interactions, "left_out": {name: why the elastic tissue
+    stopped in it} and "window": the difference that the longer window makes, see `difference`, None
+    where one of both is not trained. factor: the one number times which the elastic answer comes
+    closest to validation interactions: the best that can be known without memory, but for the
     answer's shape.
     """
     short, long = study_dataset(study), _long_dataset(study)
-    result: dict = {"trained_s": float(short.time[-1])}
+    factor = elastic_factor(study, short)
+    result: dict = {"trained_s": float(short.time[-1]), "factor": factor}
     shown = shown_competitors(study, short)
     for name, dataset, numbers in (
-        ("short", short, judged_numbers(study, short)),
+        ("short", short, study.fem.interactions),
         ("long", long, long.number[long.split == "test"].tolist()),
     ):
-        simulated, stopped = elastic_answers(study, dataset, numbers)
+        simulated, stopped = elastic_answers(study, dataset, [("test", n) for n in numbers])
         elastic = fields(dataset, np.stack(list(simulated.values())))
         learned, truth = answers(shown, dataset, list(simulated))
-        if name == "short":
-            factor = float(dot(truth, elastic).sum() / dot(elastic, elastic).sum())
-            result["factor"] = factor
         own = {
             "elastic": ("elastic FEM", elastic),
             "scaled": (f"elastic FEM × {factor:.2f}", factor * elastic),
         }
         result[name] = judge(dataset.time, truth, elastic, own | learned) | {
-            "numbers": list(simulated),
+            "cases": [name_of(case) for case in simulated],
             "left_out": stopped,
+            "window": None,
         }
-        shorter, longer = (
-            np.array([result[name]["answers"][run]["squared_error"]]) for run in study.window
-        )
-        squared_truth = np.array(result[name]["squared_truth"])
-        result[name]["window"] = difference(longer, shorter, squared_truth)
+        found = result[name]["answers"]
+        if all(run in found for run in study.window):
+            shorter, longer = (np.array([found[run]["squared_error"]]) for run in study.window)
+            squared_truth = np.array(result[name]["squared_truth"])
+            result[name]["window"] = difference(longer, shorter, squared_truth)
     return result
 
 
+def elastic_factor(study: Study, dataset: Dataset) -> float:
+    """The number times which the elastic answer comes closest to the first validation
+    interactions."""
+    numbers = dataset.number[dataset.split == "validation"][:FACTOR_FROM].tolist()
+    simulated, _ = elastic_answers(study, dataset, [("validation", n) for n in numbers])
+    elastic = fields(dataset, np.stack(list(simulated.values())))
+    chosen = [number for _, number in simulated]
+    truth = dataset.read("validation", ("displacement",), chosen)["displacement"]
+    own = fields(dataset, truth)
+    return float(dot(own, elastic).sum() / dot(elastic, elastic).sum())
+
+
 def shown_competitors(study: Study, dataset: Dataset) -> dict[str, tuple[str, Competitor]]:
-    """{name: (label, Competitor)}: the main networks and both windows, named by their runs, and one
-    linear regression for each number of forces that they see."""
+    """{name: (label, Competitor)}: the main networks and both windows where they are trained, named
+    by their runs, one linear regression for each number of forces that they see, and study.answers
+    at the dataset's frames."""
     first, *others = [main.run for main in study.main]
     labels = {main.run: main.label for main in study.main}
     runs = dict.fromkeys((first, *study.window, *others))
-    settings = {run: study.network(run) for run in runs}
+    settings, trained = {run: study.network(run) for run in runs}, trained_runs(study)
     linear = linear_regressions(dataset, (own.model.window for own in settings.values()))
-    shown = {}
+    shown: dict[str, tuple[str, Competitor]] = {}
     for run, own in settings.items():
-        competitor = networks(own, None, dataset)[f"{run}: {KERAS}"]
-        label, frames = labels.get(run, competitor.family), competitor.frames
-        shown[run] = f"{label}, {frames} forces" if own.model.window else label, competitor
+        frames = own.model.window or 1
+        if run in trained:
+            competitor = networks(own, None, dataset)[f"{run}: {KERAS}"]
+            label = labels.get(run, competitor.family)
+            shown[run] = f"{label}, {frames} forces" if own.model.window else label, competitor
         if f"linear {frames}" not in shown:
             label = f"linear, {frames} force{'s' * (frames > 1)}"
             shown[f"linear {frames}"] = label, linear[linear_name(frames)]
+    interval = dataset.scene.frames.interval
+    for name, competitor in answering(study, dataset).items():
+        if competitor.frame in (None, interval):
+            shown[name] = name.split(" / ")[0], competitor
     return shown
 
 
 def answers(
-    shown: dict[str, tuple[str, Competitor]], dataset: Dataset, numbers: list[int]
+    shown: dict[str, tuple[str, Competitor]], dataset: Dataset, cases: list[Case]
 ) -> tuple[dict[str, Labelled], np.ndarray]:
-    """({name: (label, answer)}, truth) for the test interactions `numbers`, each field
+    """({name: (label, answer)}, truth) for interactions of the split "test", each field
     (interactions, frames, d) mm."""
-    own = dataset.read("test", ("force", "displacement"), numbers)
-    found = {}
+    own = dataset.read("test", ("force", "displacement"), [number for _, number in cases])
+    interval, found = dataset.scene.frames.interval, {}
     for name, (label, competitor) in shown.items():
         print(f"{label} on {dataset.path.name}", flush=True)
-        answer = frame_by_frame(competitor.make(), own["force"])
-        found[name] = label, fields(dataset, answer)
+        stepper = competitor.make()
+        answer = np.stack([followed(stepper, force, interval) for force in own["force"]])
+        found[name] = label, fields(dataset, answer.reshape(-1, *answer.shape[2:]))
     return found, fields(dataset, own["displacement"])
 
 

@@ -14,7 +14,7 @@ from fem.errors import SolverStopped
 from fem.files import save_arrays
 from fem.mesh.shapes import refined
 from fem.workers import on_all_cores
-from unet_fem.study.dataset import simulated
+from unet_fem.study.dataset import Case, simulated
 from unet_fem.study.keys import key
 from unet_fem.study.settings import Study
 
@@ -26,27 +26,24 @@ def variant(
     dataset: Dataset,
     name: str,
     choice: SolverChoice,
-    numbers: Iterable[int],
-    split: str = "test",
+    cases: Iterable[Case],
     fine: bool = False,
-) -> dict[int, np.ndarray | None]:
-    """{number: displacement (frames, nx, ny, nz, 3) float32 mm, or None where the solver stopped},
+) -> dict[Case, np.ndarray | None]:
+    """{case: displacement (frames, nx, ny, nz, 3) float32 mm, or None where the solver stopped},
     simulated where there is no file yet.
 
     choice: SolverChoice; fine: on the refined mesh.
     """
-    paths = {n: variant_path(study, dataset, name, choice, split, n, fine) for n in numbers}
+    paths = {case: variant_path(study, dataset, name, choice, case, fine) for case in cases}
     tasks = [
-        (dataset, choice, fine, split, number, path)
-        for number, path in paths.items()
-        if not path.is_file()
+        (dataset, choice, fine, case, path) for case, path in paths.items() if not path.is_file()
     ]
     if tasks:
         on_all_cores(simulate_variant, tasks, f"FEM, {name}")
     result = {}
-    for number, path in paths.items():
+    for case, path in paths.items():
         with np.load(path) as file:
-            result[number] = None if "stopped" in file else file["displacement"]
+            result[case] = None if "stopped" in file else file["displacement"]
     return result
 
 
@@ -55,23 +52,23 @@ def variant_path(
     dataset: Dataset,
     name: str,
     choice: SolverChoice,
-    split: str,
-    number: int,
+    case: Case,
     fine: bool = False,
 ) -> Path:
     """The file of an interaction: what it is made from is in its name."""
+    split, number = case
     made_from = key((choice, fine, split, number), [dataset.path], VERSION)
     return study.cache / "reference" / f"{name}-{split}-{number:04d}-{made_from}.npz"
 
 
 def simulate_variant(
-    dataset: Dataset, choice: SolverChoice, fine: bool, split: str, number: int, path: Path
+    dataset: Dataset, choice: SolverChoice, fine: bool, case: Case, path: Path
 ) -> None:
     """Write an interaction's displacement on the dataset's grid to `path`, or why it stopped."""
     mesh = refined(dataset.fem_mesh) if fine else dataset.fem_mesh
     try:
         scene = replace(dataset.scene, solver=choice)
-        found = simulated(dataset, split, number, scene, mesh)
+        found = simulated(dataset, *case, scene, mesh)
     except SolverStopped as stop:
         save_arrays(path, stopped=stop.reason)
     else:

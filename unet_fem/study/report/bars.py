@@ -21,15 +21,16 @@ FORMS = {
 
 @styled()
 def bars(groups: dict[str, dict[str, dict]], title: str) -> Figure:
-    """A panel for each {heading: {label: {"test", "hard"}}} with the errors of every label in %."""
+    """A panel for each {heading: {label: {"usual", "hard"}}} with the errors of every label in
+    %."""
     figure, axes = subplots(1, len(groups), (4.2 * len(groups), 3.2), sharey=True, squeeze=False)
     for axis, (heading, models) in zip(axes[0], groups.items(), strict=True):
         at = np.arange(len(models))
         for shift, which, label in (
-            (-0.2, "test", "all test interactions"),
+            (-0.2, "usual", "usual unseen interactions"),
             (0.2, "hard", "hard ones"),
         ):
-            heights = [100 * model[which] for model in models.values()]
+            heights = [100 * (model[which]["relative_l2"] or 0) for model in models.values()]
             drawn = axis.bar(at + shift, heights, 0.4, label=label)
             axis.bar_label(drawn, fmt="%.1f", fontsize=6)
         axis.set_xticks(at, models, fontsize=7)
@@ -74,9 +75,9 @@ def physics(arms: list[dict], network: str) -> Figure:
     """Errors of the arms with 95 % intervals over the interactions, and each seed as a cross."""
     figure, axes = subplots(1, 3, (8, 3.2))
     titles = {
-        "test": "all test interactions",
-        "strong": "the quarter with the largest forces",
-        "hard": "beyond training",
+        "usual": "usual unseen interactions",
+        "strong": "of these the quarter\nwith the largest forces",
+        "hard": "harder than any in training",
     }
     for axis, (which, title) in zip(axes, titles.items(), strict=True):
         for at, arm in enumerate(arms):

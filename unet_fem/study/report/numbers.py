@@ -8,17 +8,26 @@ def percent(share: float | None, digits: int = 1) -> str:
     return "-" if share is None else f"{100 * share:.{digits}f}"
 
 
-def milliseconds(seconds: float, digits: int | None = None) -> str:
-    """Seconds in ms, to three figures or to so many digits."""
+def milliseconds(seconds: float | None, digits: int | None = None) -> str:
+    """Seconds in ms, to three figures or to so many digits, "-" for None."""
+    if seconds is None:
+        return "-"
     return f"{1e3 * seconds:.3g}" if digits is None else f"{1e3 * seconds:.{digits}f}"
 
 
 def interval(found: dict, digits: int = 1) -> str:
     """A relative L2 with its interval in %, see statistics.interval."""
-    own = percent(found["relative_l2"], digits)
-    if found["low"] is None:
-        return own
-    return f"{own} ({percent(found['low'], digits)} to {percent(found['high'], digits)})"
+    return _between(found["relative_l2"], found["low"], found["high"], digits)
+
+
+def median(found: dict, digits: int = 1) -> str:
+    """The median over interactions with its interval in %, see statistics.errors."""
+    return _between(found["median"], found["median_low"], found["median_high"], digits)
+
+
+def _between(own, low, high, digits):
+    shown = percent(own, digits)
+    return shown if low is None else f"{shown} ({percent(low, digits)} to {percent(high, digits)})"
 
 
 def difference(found: dict | None) -> str:

@@ -13,7 +13,7 @@ from unet_fem.metrics import relative_l2
 from unet_fem.study.report.numbers import percent
 from unet_fem.training.samples import Samples
 from unet_fem.training.section import draw_section, most_displaced, move_section, section_plane
-from unet_fem.training.style import styled, subplots
+from unet_fem.training.style import ALERT, styled, subplots
 
 MILLISECONDS = 250  # of a frame of the animation
 
@@ -91,7 +91,7 @@ def animate(dataset: Dataset, test: Samples, fields: dict[str, np.ndarray], path
     figure.colorbar(cells[0], ax=axes[:, -1], label="displacement or error (mm)")
     force = np.linalg.norm(own.force, axis=-1).sum(axis=(1, 2, 3))
     axes[1, 0].plot(dataset.time, force, "-", color="slategray")
-    (now,) = axes[1, 0].plot([0], force[:1], "o", color="crimson")
+    (now,) = axes[1, 0].plot([0], force[:1], "o", color=ALERT)
     axes[1, 0].set(xlabel="time (s)", ylabel="total force (mN)")
     heading = figure.suptitle(f"Test interaction {number}", size=10)
 
