@@ -25,11 +25,13 @@ def main(arguments=None):
     parser.add_argument(
         "changes", nargs="*", metavar="key=value", help=f"for all networks, after {EPOCHS}"
     )
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument(
+        "--seeds", type=int, nargs="*", default=[1, 2, 3], help="none for the baselines alone"
+    )
     parser.add_argument("--threads", type=int, default=1, help="of TensorFlow (default: 1)")
     parser.add_argument("--out", type=Path, default=Path("docs/ablation"))
     options = parser.parse_args(arguments)
-    if options.threads < 1 or min(options.seeds) < 0:
+    if options.threads < 1 or min(options.seeds, default=0) < 0:
         raise InputError(
             f"--threads {options.threads} must be at least 1, and --seeds {options.seeds} not"
             " negative"
@@ -44,8 +46,7 @@ def main(arguments=None):
     use_threads(options.threads)
     rows = ablation.ablation(options.seeds, [EPOCHS, *options.changes])
     print(ablation.table(rows))
-    seeds = " ".join(map(str, options.seeds))
-    words = ["python tools/ablation.py", *options.changes, f"--seeds {seeds} --out {options.out}"]
+    words = ["python tools/ablation.py", *options.changes, "--seeds", *map(str, options.seeds)]
     ablation.write(rows, options.out, " ".join(words))
     print(f"wrote {options.out.with_suffix('.md')} and .json")
 

@@ -2,6 +2,8 @@
 alone."""
 
 import itertools
+import subprocess
+import sys
 
 import keras
 import numpy as np
@@ -166,3 +168,20 @@ def test_a_plain_surrogate_is_of_the_format_before(dataset, force, tmp_path):
     field = input_field(CHOICES[0], dataset)
     path = surrogate(tmp_path / "b.tflite", model, dataset, field)
     assert str(read_surrogate(path)["format"]) == FORMAT
+
+
+def test_its_runtime_needs_numpy_and_litert_alone(dataset, tmp_path):
+    choice = InputChoice("creep", "elastic")
+    _, model = built(dataset, "cnn_lstm", choice)
+    path = surrogate(tmp_path / "a.tflite", model, dataset, input_field(choice, dataset))
+    code = """
+import sys
+for name in "h5py keras scipy tensorflow".split():
+    sys.modules[name] = None
+import numpy as np
+from unet_fem.runtime import Surrogate
+body = Surrogate(sys.argv[1], rate=100.0)
+print(body.step(np.zeros((*body.grid, 3))).shape == (*body.grid, 3))
+"""
+    run = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True)
+    assert run.stdout.strip() == "True", run.stderr
