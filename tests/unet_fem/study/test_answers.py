@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fem.data.dataset import open_dataset
-from fem.errors import InputError
+from fem.errors import InputError, SolverStopped, Stop
 from fem.online.grid import NodeGrid
 from fem.online.regression import RegressionStepper
 from fem.online.window import WindowStepper
@@ -17,6 +17,7 @@ from unet_fem.networks.pod import linear
 from unet_fem.study.measure import accuracy, duties, run_time
 from unet_fem.study.measure.duties import dutiful
 from unet_fem.study.measure.judged import unseen_samples
+from unet_fem.study.measure.points import points
 from unet_fem.study.settings import Answer, Fem, load_study
 from unet_fem.study.steppers import answering, followed, linear_regressions
 from unet_fem.training.samples import load_samples
@@ -93,6 +94,34 @@ def test_an_answer_is_judged_at_its_own_frames(study, dataset):
         for name in ("held / 50 ms", "held / 200 ms")
     )
     assert short[1] == long[1] and short[0] != long[0]
+
+
+def test_an_answer_that_stops_is_named_and_is_no_point(study, dataset, monkeypatch):
+    samples = unseen_samples(dataset)
+    truth = {("test", 1): samples.displacement[: len(dataset.time)]}
+    hard = np.abs(samples.force[_rows_of(dataset, 2)]).max()
+
+    def step(self, force, dt=None):
+        if np.abs(force).max() == hard:
+            raise SolverStopped.because(Stop.DIVERGED, "no equilibrium")
+        return np.zeros_like(force)
+
+    monkeypatch.setattr(Held, "step", step)
+    own = answering(study, dataset)["held / 200 ms"]
+    found = accuracy._answer(study, "held", own, dataset, samples, truth)
+    assert found["stopped"] == [{"case": "hard 1", "reason": "diverged"}]
+    assert list(found["sums"]) == ["test 1", "test 2"] and found["hard"]["count"] == 1
+    results = {
+        "run_time": {"seconds": {"held": {"p50": 1.0}}},
+        "accuracy": {"models": {"held": found | {"headline": {}}}},
+        "fixed_latency": {"points": []},
+    }
+    assert points(results, 0.2) == []
+
+
+def _rows_of(dataset, place):
+    frames = len(dataset.time)
+    return slice(place * frames, (place + 1) * frames)
 
 
 def test_following_gives_the_interval_to_those_who_ask(dataset):

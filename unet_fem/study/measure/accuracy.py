@@ -10,6 +10,7 @@ import numpy as np
 
 from fem.cache import once
 from fem.data.dataset import Dataset
+from fem.errors import InputError, SolverStopped
 from unet_fem.deployment.exported import files_there
 from unet_fem.deployment.forms import CALL
 from unet_fem.metrics import relative_l2
@@ -20,6 +21,7 @@ from unet_fem.study.dataset import (
     frame_forces,
     frames_between,
     headline,
+    name_of,
     named,
     study_dataset,
     unseen,
@@ -150,30 +152,51 @@ def _regression(study, name, competitor, dataset, samples, truth):
 
 
 def _answer(study, name, competitor, dataset, samples, truth):
-    """The entry of one of study.answers; one of frames shorter than the dataset's is judged on the
-    interactions of the headline alone."""
+    """The entry of one of study.answers, and "stopped": [{"case", "reason"}] where it is a solver
+    that cannot go on; one of frames shorter than the dataset's is judged on the interactions of
+    the headline alone."""
     made_from = _key(study, truth, competitor.facts(), [dataset.path, competitor.file or ""])
     entry = study.cache / "accuracy" / f"{made_from}.json"
-    interval = dataset.scene.frames.interval
-    every = frames_between(dataset.scene, competitor.frame or interval)
+    frame = competitor.frame or dataset.scene.frames.interval
+    short = frames_between(dataset.scene, frame) > 1
 
     def judge():
         print(f"judging {name}", flush=True)
-        if every == 1:
-            answer = _followed(competitor, samples.force, dataset)
-            return judged(answer, dataset, samples, truth)
-        stepper, cases = competitor.make(), everything(headline(study, dataset))
-        answer = np.zeros((len(cases), len(dataset.time), *dataset.grid, 3), "float32")
-        for own, case in zip(answer, cases, strict=True):
-            forces = frame_forces(dataset, *case, competitor.frame)
-            own[1:] = followed(stepper, forces, competitor.frame)[every - 1 :: every]
-        order = {case: n for n, case in enumerate(unseen_cases(dataset))}
-        frames = np.arange(len(dataset.time))
-        rows = np.concatenate([order[case] * len(frames) + frames for case in cases])
-        answer = answer.reshape(-1, *answer.shape[2:])
-        return judged(answer, dataset, samples.select(rows), truth, cases=cases)
+        every = unseen_cases(dataset)
+        stepper, order = competitor.make(), {case: n for n, case in enumerate(every)}
+        answers, stopped = {}, []
+        for case in everything(headline(study, dataset)) if short else every:
+            rows = _rows(dataset, [order[case]])
+            try:
+                answers[case] = _one(stepper, dataset, case, frame, samples.force[rows])
+            except SolverStopped as stop:
+                stopped.append({"case": name_of(case), "reason": stop.reason})
+        if not answers:
+            raise InputError(f"answer '{name}' stops in every interaction; leave it out")
+        cases = list(answers)
+        own = samples.select(_rows(dataset, [order[case] for case in cases]))
+        known = {case: field for case, field in truth.items() if case in answers}
+        found = judged(np.concatenate(list(answers.values())), dataset, own, known, cases=cases)
+        return found | {"stopped": stopped}
 
     return competitor.facts() | once(entry, made_from, judge)
+
+
+def _one(stepper, dataset, case, frame, force):
+    """The answer to an interaction at the dataset's frames, (frames, nx, ny, nz, 3) mm; force: at
+    these frames, mN."""
+    every = frames_between(dataset.scene, frame)
+    if every == 1:
+        return followed(stepper, force, frame)
+    answer = np.zeros_like(force)
+    answer[1:] = followed(stepper, frame_forces(dataset, *case, frame), frame)[every - 1 :: every]
+    return answer
+
+
+def _rows(dataset, places):
+    """Rows of the samples of the interactions at these places of `unseen_cases`."""
+    frames = np.arange(len(dataset.time))
+    return np.concatenate([place * len(frames) + frames for place in places])
 
 
 def _followed(competitor: Competitor, force: np.ndarray, dataset: Dataset) -> np.ndarray:

@@ -26,6 +26,8 @@ def points(results: dict, frame: float) -> list[dict]:
     for name, model in results["accuracy"]["models"].items():
         if model["frame"] is not None and not np.isclose(model["frame"], frame):
             continue
+        if model.get("stopped"):
+            continue  # as the FEM's loops: what answers the easy ones alone is no competitor
         about = {key: model[key] for key in ABOUT}
         for timed in (name, name.replace(": tf.function", ": Keras call")):  # of equal answers
             found.append({"name": timed} | about | {"errors": model["headline"]})

@@ -135,7 +135,8 @@ def shown(study: Study, results: dict[str, dict], physics: list[dict]) -> dict:
         "fronts": [_front(results, frame) for frame in study.fem.frames],
         "data_s": timed["data_frames"] * timed["data_frame_s"],
         "against": [row | {"hours": _hours(row)} for row in against_fem(study, results)],
-        "stopped": [point for point in results["fixed_latency"]["points"] if point["stopped"]],
+        "stopped": [point for point in results["fixed_latency"]["points"] if point["stopped"]]
+        + [{"name": name} | model for name, model in models.items() if model.get("stopped")],
         "tuned_on": results["fixed_latency"]["tuned_on"],
         "tuning": tuning(study, results),
         "every": [
