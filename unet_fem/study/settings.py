@@ -81,8 +81,8 @@ class Order:
 
     better: str
     worse: str
-    gain: float = number(0, 1)
     says: str
+    gain: float = number(0, 1)
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ class Study:
 
 
 def _but_for_seed(settings: Settings) -> Settings:
-    return replace(settings, name="-", train=replace(settings.train, seed=0))
+    return replace(settings, name="any", train=replace(settings.train, seed=0))
 
 
 def load_study(path: Path | str, overrides: Iterable[str] = ()) -> Study:

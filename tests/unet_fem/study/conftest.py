@@ -30,7 +30,7 @@ def study_of(monkeypatch):
             main=mains[:count],
             deployed=tuple(main.run for main in mains[:count]),
             order=tuple(
-                Order(better, worse, 0.3, f"{better} better than {worse}")
+                Order(better, worse, f"{better} better than {worse}", 0.3)
                 for better, worse in zip(labels, [*labels[1:], "linear regression"], strict=True)
             ),
         )

@@ -26,6 +26,7 @@ from unet_fem.study.settings import Fem
 from unet_fem.study.steppers import Competitor, networks
 from unet_fem.training.depth import by_depth
 from unet_fem.training.samples import Samples, load_samples
+from unet_fem.training.settings import InputChoice
 
 MASK = np.zeros((3, 3, 2), bool)
 MASK[1:, :, 1] = True
@@ -120,7 +121,10 @@ def test_frame_by_frame_is_the_batched_prediction(tiny_dataset, tmp_path):
     scale = {"force_scale": 0.05, "displacement_scale": 0.05, "mask": dataset.free}
     save_model(cnn_lstm(dataset.grid, 4, 2, **scale), tmp_path / "best.keras")
     settings = SimpleNamespace(
-        name="run", folder=tmp_path, model=SimpleNamespace(kind="cnn_lstm", window=2)
+        name="run",
+        folder=tmp_path,
+        input=InputChoice(),
+        model=SimpleNamespace(kind="cnn_lstm", window=2),
     )
     samples = load_samples(dataset, "test", 2)
     batched = accuracy.keras_answer(tmp_path / "best.keras", samples, dataset)
@@ -327,6 +331,7 @@ def test_an_answer_is_kept_until_its_model_changes(tmp_path, tiny_dataset, monke
         settings = SimpleNamespace(
             name="run",
             folder=tmp_path,
+            input=InputChoice(),
             model=SimpleNamespace(window=2),
             loss=SimpleNamespace(volume_threshold=threshold, volume_of="all"),
         )

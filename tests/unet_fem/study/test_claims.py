@@ -44,8 +44,8 @@ def case(study_of, results_of):
         window=("w64_1", "s4_1"),
         physics=(Arm("without", ("w64_1", "w64_2", "w64_3")), Arm("gate", ("w32_1", "w32_2"))),
         order=(
-            Order("CNN-LSTM", "U-Net", 0.3, "first"),
-            Order("U-Net", "linear regression", 0.4, "second"),
+            Order("CNN-LSTM", "U-Net", "first", 0.3),
+            Order("U-Net", "linear regression", "second", 0.4),
         ),
         claims={name: name for name in CLAIMS},
     )

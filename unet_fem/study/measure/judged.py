@@ -40,8 +40,9 @@ def unseen_samples(
     the model sees of the forces."""
     splits = dict.fromkeys(split for split, _ in unseen_cases(dataset))
     parts = [load_samples(dataset, split, steps, seen) for split in splits]
+    given = [own.name for own in fields(Samples) if getattr(parts[0], own.name) is not None]
     return Samples(
-        *(np.concatenate([getattr(part, own.name) for part in parts]) for own in fields(Samples))
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in given}
     )
 
 
