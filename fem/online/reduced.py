@@ -62,6 +62,7 @@ TOLERANCE, MOST, SECANTS = 2e-3, 12, 8
 FLOOR = 1e-4  # mm, of |r|: below it a frame is at rest whatever |a|
 WORSE = 4.0  # a step that raises |r|^2 so much is taken back
 REGULAR = 1e-8  # ridge of the secants, of the largest
+REACH = 10.0  # residuals that a step may be long; old secants of tiny frames would go anywhere
 
 
 class ReducedStepper:
@@ -177,7 +178,10 @@ class ReducedStepper:
         diagonal = gram.ravel()[:: kept + 1]
         diagonal += REGULAR * diagonal.max() + 1e-30
         share = np.linalg.solve(gram, self._dR[:kept] @ r).astype(np.float32)
-        return a + r - share @ self._dX[:kept]
+        step = r - share @ self._dX[:kept]
+        if not step @ step <= REACH**2 * (r @ r):
+            self._count, step = 0, r
+        return a + step
 
     def state(self) -> State:
         """All that the next answer depends on: histories, the filters, the last correction and the

@@ -29,9 +29,9 @@ class Choice:
     the split "hard" to learn from, beside "train"; frames: to choose the points by; seed: of the
     draws."""
 
-    modes: int = 320
-    inputs: int = 160
-    points: int = 300
+    modes: int = 240
+    inputs: int = 120
+    points: int = 200
     hard: int = 0
     frames: int = 150
     seed: int = 0
