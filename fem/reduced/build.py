@@ -20,7 +20,7 @@ from fem.reduced.reduction import Body, Reduction
 from fem.reduced.snapshots import Snapshots, Which, open_snapshots, read_snapshots
 
 VERSION = 1  # of the cached snapshots; raise it when the same file gives others
-RIDGES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+RIDGES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 
 
 @dataclass(frozen=True)
