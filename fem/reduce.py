@@ -1,7 +1,7 @@
 """Make a reduced model of a dataset: modes, points and a fit, in one file that steps in real time.
 
-    python -m fem.reduce data/tumour.h5 [--out data/tumour_reduced.npz] [--modes 320] [--inputs 160]
-        [--points 300] [--hard 0]
+    python -m fem.reduce data/tumour.h5 [--out data/tumour_reduced.npz] [--modes 240] [--inputs 120]
+        [--points 200] [--hard 0]
 
 `--hard N` learns from the first N interactions of the split "hard" too and judges by the rest.
 """

@@ -43,7 +43,8 @@ def sampled(scene: Scene) -> list[tuple[str, int]]:
 
 def _true_mass(scene):
     """The scene with the explicit solver and the true mass."""
-    solver = replace(scene.solver, kind="explicit", tolerance=None, mass_scaling=1.0)
+    others = dict.fromkeys(("tolerance", "model", "sha256"))
+    solver = replace(scene.solver, kind="explicit", mass_scaling=1.0, **others)
     return replace(scene, solver=solver)
 
 
@@ -72,7 +73,7 @@ def check_confirmed(scene: Scene, found: list[Confirmation]) -> None:
     if not worst or worst.error <= scene.health.mass_error:
         return
     name, scaling = f"{worst.split} interaction {worst.number}", scene.solver.mass_scaling
-    quasistatic = scene.solver.kind == "quasistatic"
+    quasistatic = scene.solver.kind != "explicit"
     if np.isinf(worst.error):
         how = "without inertia" if quasistatic else f"at solver.mass_scaling = {scaling:g}"
         remedy = "let the load rise more slowly" if quasistatic else "lower it"

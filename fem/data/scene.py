@@ -1,6 +1,6 @@
 """A scene: everything that one dataset depends on, read from a TOML file."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ from fem.ranges import number
 from fem.solver.explicit import Solver
 from fem.solver.gate import LIMITS
 from fem.solver.quasistatic import TOLERANCE, QuasiStatic
+from fem.solver.reduced import ReducedSolver, file_digest
 
 SPLITS = ("train", "validation", "test", "hard")  # their places seed the draws
 
@@ -27,18 +28,24 @@ SPLITS = ("train", "validation", "test", "hard")  # their places seed the draws
 SOLVERS: dict[str, type[Solver] | type[QuasiStatic]] = {
     "explicit": Solver,
     "quasistatic": QuasiStatic,
+    "reduced": ReducedSolver,
 }
 # largest imbalance of energy: work is summed over the steps, and those of the one are milliseconds
-IMBALANCE = {"explicit": 0.01, "quasistatic": 0.05}
+IMBALANCE = {"explicit": 0.01, "quasistatic": 0.05, "reduced": 0.05}
+# largest force out of balance: of inertia and damping, or what the modes of a reduced model leave
+DISEQUILIBRIUM = {"reduced": 0.1}
 EXPLICIT_ONLY = ("damping", "mass_scaling", "safety")
 
 
 @dataclass(frozen=True)
 class SolverChoice:
     """kind: "explicit" for fem.solver.explicit.Solver, "quasistatic" for
-    fem.solver.quasistatic.QuasiStatic: see there for the meaning and units of the others.
+    fem.solver.quasistatic.QuasiStatic, "reduced" for fem.solver.reduced.ReducedSolver: see there
+    for the meaning and units of the others.
 
     damping, mass_scaling and safety belong to the explicit solver, tolerance to the quasi-static.
+    model: file of the reduced solver, relative to the scene file; sha256: of it, which load_scene
+    fills in, so that another model makes another scene.
     """
 
     element: Literal["full", "mean_dilatation", "reduced"] = "full"
@@ -47,11 +54,15 @@ class SolverChoice:
     damping: float = number(0, 1e6, "1/s", default=0.0)
     mass_scaling: float = number(1e-3, 1e8, default=1.0)
     safety: float = number(1e-3, 10, default=0.85)
-    kind: Literal["explicit", "quasistatic"] = "explicit"
+    kind: Literal["explicit", "quasistatic", "reduced"] = "explicit"
     tolerance: float | None = number(1e-12, 1, default=None)
+    model: str | None = None
+    sha256: str | None = None
+    folder: InitVar[str | Path] = ""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, folder: str | Path) -> None:
         config.normalised(self, "solver")
+        object.__setattr__(self, "folder", str(folder))
         self._check_kind()
         if self.element != "reduced" and self.hourglass_stiffness is not None:
             raise InputError(
@@ -62,27 +73,56 @@ class SolverChoice:
             object.__setattr__(self, "hourglass_stiffness", 0.2)  # the solver's default
 
     def _check_kind(self):
+        wrong = [
+            name for name in ("model", "sha256") if self.kind != "reduced" and getattr(self, name)
+        ]
+        if self.tolerance is not None and self.kind != "quasistatic":
+            wrong.append("tolerance")
+        if wrong:
+            of = "quasistatic" if wrong[-1] == "tolerance" else "reduced"
+            raise InputError(
+                f"solver.{wrong[-1]} = {getattr(self, wrong[-1])} has no meaning for solver.kind ="
+                f" '{self.kind}'; leave it out, or take kind = '{of}'"
+            )
         if self.kind == "explicit":
-            if self.tolerance is not None:
-                raise InputError(
-                    f"solver.tolerance = {self.tolerance} has no meaning for solver.kind ="
-                    " 'explicit'; leave it out, or take kind = 'quasistatic'"
-                )
             return
         for name in EXPLICIT_ONLY:
             value = getattr(self, name)
             if value != getattr(type(self), name):
                 raise InputError(
-                    f"solver.{name} = {value} has no meaning for solver.kind = 'quasistatic',"
+                    f"solver.{name} = {value} has no meaning for solver.kind = '{self.kind}',"
                     " which knows no mass and no stable step; leave it out"
                 )
-        if self.tolerance is None:
+        if self.kind == "reduced" and not self.model:
+            raise InputError("solver.kind = 'reduced' needs solver.model, such as 'reduced.npz'")
+        if self.kind == "quasistatic" and self.tolerance is None:
             object.__setattr__(self, "tolerance", TOLERANCE)
 
+    def located(self, folder: str | Path) -> "SolverChoice":
+        """This choice with its model found in `folder` and its content known."""
+        if self.model is None:
+            return self
+        sha256 = file_digest(Path(folder, self.model))
+        if self.sha256 not in (None, sha256):
+            raise InputError(
+                f"{Path(folder, self.model)} is another model than solver.sha256 ="
+                f" '{self.sha256}' says; restore the model or leave solver.sha256 out"
+            )
+        return replace(self, sha256=sha256, folder=folder)
+
     def settings(self) -> dict[str, Any]:
-        """What the solver of this kind is built with, by name."""
+        """Its entries that mean something for its kind, by name; `kind` is the caller's."""
         unused = ("kind",) if self.kind == "explicit" else ("kind", *EXPLICIT_ONLY)
         return {name: value for name, value in config.to_dict(self).items() if name not in unused}
+
+    def build(self, mesh: HexMesh, material: Hyperelastic) -> Solver | QuasiStatic:
+        """The solver of a mesh and its law."""
+        settings = self.settings()
+        if self.kind == "reduced":
+            found = self.located(self.folder)  # type: ignore[attr-defined]
+            del settings["sha256"]
+            settings["model"] = Path(found.folder, settings["model"])  # type: ignore[attr-defined]
+        return SOLVERS[self.kind](mesh, material, **settings)
 
 
 @dataclass(frozen=True)
@@ -170,7 +210,8 @@ class Health:
     """What a sequence must fulfil to enter a dataset: energy imbalance, smallest J, kinetic over
     strain energy, and the fem.solver.gate.Signs.
 
-    imbalance: left out it is IMBALANCE of the scene's solver
+    imbalance, disequilibrium: left out they are those of the scene's solver, IMBALANCE and
+    DISEQUILIBRIUM, or fem.solver.gate.LIMITS
     confirm: how many interactions are simulated again at the true mass where it is scaled;
     mass_error: largest relative L2 distance of their displacement from it
     """
@@ -179,7 +220,7 @@ class Health:
     min_J: float = number(0, 1, default=0.15)
     kinetic_share: float = number(0, SHARE, default=0.05)
     corner_J: float = number(0, 1, default=LIMITS.corner_J)
-    disequilibrium: float = number(0, SHARE, default=LIMITS.disequilibrium)
+    disequilibrium: float | None = number(0, SHARE, default=None)
     hourglass_motion: float = number(0, SHARE, default=LIMITS.hourglass_motion)
     hourglass_share: float = number(0, SHARE, default=LIMITS.hourglass_share)
     confirm: int = number(0, MOST, default=3)
@@ -209,9 +250,13 @@ class Scene:
     def __post_init__(self) -> None:
         config.normalised(self)
         object.__setattr__(self, "groups", check_groups(self.material, self.groups))
-        if self.health.imbalance is None:
-            health = replace(self.health, imbalance=IMBALANCE[self.solver.kind])
-            object.__setattr__(self, "health", health)
+        kind = self.solver.kind
+        usual: dict[str, Any] = {
+            "imbalance": IMBALANCE[kind],
+            "disequilibrium": DISEQUILIBRIUM.get(kind, LIMITS.disequilibrium),
+        }
+        left_out = {n: value for n, value in usual.items() if getattr(self.health, n) is None}
+        object.__setattr__(self, "health", replace(self.health, **left_out))
 
     @staticmethod
     def arranged(tree: dict[str, Any]) -> dict[str, Any]:
@@ -264,12 +309,11 @@ class Scene:
 
     def build_solver(self, hex_mesh: HexMesh) -> Solver | QuasiStatic:
         """The solver of `hex_mesh` with this scene's material and settings."""
-        make = SOLVERS[self.solver.kind]
-        return make(hex_mesh, self.material_on(hex_mesh), **self.solver.settings())
+        return self.solver.build(hex_mesh, self.material_on(hex_mesh))
 
 
 def load_scene(path: str | Path) -> Scene:
     """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value, or a
     missing mesh file."""
-    scene = config.build(Scene, config.read_toml(path))
-    return replace(scene, mesh=scene.mesh.located(Path(path).parent))
+    scene, folder = config.build(Scene, config.read_toml(path)), Path(path).parent
+    return replace(scene, mesh=scene.mesh.located(folder), solver=scene.solver.located(folder))

@@ -62,6 +62,7 @@ TOLERANCE, MOST, SECANTS = 2e-3, 12, 8
 FLOOR = 1e-4  # mm, of |r|: below it a frame is at rest whatever |a|
 WORSE = 4.0  # a step that raises |r|^2 so much is taken back
 REGULAR = 1e-8  # ridge of the secants, of the largest
+REACH = 10.0  # residuals that a step may be long; old secants of tiny frames would go anywhere
 
 
 class ReducedStepper:
@@ -177,36 +178,31 @@ class ReducedStepper:
         diagonal = gram.ravel()[:: kept + 1]
         diagonal += REGULAR * diagonal.max() + 1e-30
         share = np.linalg.solve(gram, self._dR[:kept] @ r).astype(np.float32)
-        return a + r - share @ self._dX[:kept]
+        step = r - share @ self._dX[:kept]
+        if not step @ step <= REACH**2 * (r @ r):
+            self._count, step = 0, r
+        return a + step
 
     def state(self) -> State:
         """All that the next answer depends on: histories, the filters, the last correction and the
         secants."""
-        kept = min(self._count, SECANTS)
         return self.residual.state() | {
             **self._memory.state(),
             "correction": self._correction.copy(),
-            "secants": np.stack([self._dR[:kept], self._dX[:kept]]),
-            "gram": self._gram[:kept, :kept].copy(),
+            "secants": np.stack([self._dR, self._dX]),
+            "gram": self._gram.copy(),
             "count": np.array(self._count),
         }
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
-        wanted = self.state()
-        fits = state.keys() == wanted.keys() and all(
-            np.shape(state[name]) == values.shape
-            for name, values in wanted.items()
-            if name not in ("secants", "gram")
-        )
-        if not fits:
+        wanted = {name: values.shape for name, values in self.state().items()}
+        if {name: np.shape(values) for name, values in state.items()} != wanted:
             raise InputError(
                 "the state is of another stepper; restore what state() of the same stepper gave"
             )
         self.residual.restore(state)
         self._memory.restore(state)
         self._correction = np.array(state["correction"], np.float32)
-        self._count = int(state["count"])
-        kept = min(self._count, SECANTS)
-        self._dR[:kept], self._dX[:kept] = state["secants"]
-        self._gram[:kept, :kept] = state["gram"]
+        self._dR[:], self._dX[:] = state["secants"]
+        self._gram[:], self._count = state["gram"], int(state["count"])

@@ -20,7 +20,7 @@ from fem.reduced.reduction import Body, Reduction
 from fem.reduced.snapshots import Snapshots, Which, open_snapshots, read_snapshots
 
 VERSION = 1  # of the cached snapshots; raise it when the same file gives others
-RIDGES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+RIDGES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Choice:
     the split "hard" to learn from, beside "train"; frames: to choose the points by; seed: of the
     draws."""
 
-    modes: int = 320
-    inputs: int = 160
-    points: int = 300
+    modes: int = 240
+    inputs: int = 120
+    points: int = 200
     hard: int = 0
     frames: int = 150
     seed: int = 0
