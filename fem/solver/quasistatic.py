@@ -23,12 +23,15 @@ FINEST = {"float32": 1e-5, "float64": 1e-9}  # tolerances that rounding leaves r
 # share of the largest load so far by which a residual is measured at least, for a load that goes
 FADED = 0.03
 FAINT = 1e-6  # the same of mu h^2 with the edge h of a cell, for a load that has yet to come
+# times the tolerance is enough for a step within an `advance`: only what relaxes there is kept
+WITHIN = 10.0
+LOST = 0.1  # residual over load, from which the last state is a better start than the best iterate
 SMALLEST_PART = 1 / 64  # of a load that is raised in parts
 
 
 class QuasiStatic(DeformableBody):
     """One quasi-static simulation: the tissue is in equilibrium with its load at the end of every
-    step, and over each its elastic stress runs linearly in time.
+    step, and over each its elastic stress runs as if it were linear tissue.
 
     mesh, material, element, precision, hourglass_stiffness, allow_locking: see
     fem.solver.body.DeformableBody
@@ -104,20 +107,21 @@ class QuasiStatic(DeformableBody):
         if not duration:
             return
         jumps = self._norm(first - self.load) > self.tolerance * self._scale(first)
-        for step in self.load_steps.plan(load, self.time, end, first, jumps):
-            self._step(step, observers)
+        jump = first if jumps else None
+        for step in self.load_steps.plan(load, self.time, end, self.load, jump):
+            self._step(step, observers, self.tolerance * (1 if step.time == end else WITHIN))
         looking: list[Observer] = [*observers, *([self.gate] if self.gate else [])]
         if looking:
             closing = self._record(0.0, np.zeros_like(self.u), True)
             for observer in looking:
                 observer(closing)
 
-    def _step(self, step, observers):
+    def _step(self, step, observers, tolerance):
         """Take a LoadStep."""
-        time, load, _ = step
+        time, load, *_ = step
         dt = time - self.time
         self.largest_load = max(self.largest_load, self._norm(load))
-        u = self._equilibrium(step)
+        u = self._equilibrium(step, tolerance)
         velocity = (u - self.u) / dt
         if observers:
             opening = self._record(dt, velocity, False)
@@ -140,17 +144,24 @@ class QuasiStatic(DeformableBody):
             self._viscous = self.internal - self.elastic_force(self.u)
         return self._viscous
 
-    def _equilibrium(self, step):
-        """The displacement (3, N) in equilibrium at the end of a LoadStep. Raises SolverStopped."""
-        time, load, bends = step
-        if bends is not None:
-            bends = [self._linear_answer(bend) for bend in bends]
+    def _equilibrium(self, step, tolerance):
+        """The displacement (3, N) in equilibrium at the end of a LoadStep. Raises SolverStopped.
+
+        It starts from the answer to the remembered load of the tissue as it is now: what was not
+        linear in the last one stays.
+        """
+        time, load, change, bends = step
+        bends = [None if bend is None else self._linear_answer(bend) for bend in bends]
         left = self.force.expect(time - self.time, bends)
-        tolerance = self.tolerance * self._scale(load)
-        start = self.equations.vector(self.u)
+        scale = self._scale(load)
+        tolerance *= scale
+        old = self.equations.vector(self.u)
+        start = old + self._rest.solve(self.equations.vector(change))
         balance = Balance(self.force, self.equations, load / left, tolerance / left)
         self.anderson.begin()
         x, error = by_chords(balance, start, self.factors, self.anderson)
+        if error * tolerance > LOST * scale:
+            x = old
         if error > 1 and self._stiffen(x):
             x, error = by_chords(balance, x, self.factors, self.anderson)
         if error > 1:
@@ -158,7 +169,7 @@ class QuasiStatic(DeformableBody):
             self.stiffness.follow(self.force, time - self.time, bends)
             x, error = by_newton(balance, x, self.stiffness)
         if error > 1:
-            x, error = self._in_parts(balance, start, self.load / left)
+            x, error = self._in_parts(balance, old, self.load / left)
         self.evaluations += balance.evaluations
         if error > 1:
             self._stop(error, time)

@@ -236,7 +236,7 @@ def test_newton_takes_over_where_chords_do_not_come_to_an_end(block, most, monke
 
 def test_a_snapshot_goes_on_bit_for_bit(block, monkeypatch):
     """In another solver too, with a stiffness that is no longer that of rest."""
-    monkeypatch.setattr(balance, "MOST_CHORDS", 4)
+    monkeypatch.setattr(balance, "MOST_CHORDS", 3)
     load = pressing(block, 1e-3)
     one, other = (QuasiStatic(block, TISSUE, precision="float32") for _ in "ab")
     one.gate = other.gate = None
