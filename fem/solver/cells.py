@@ -119,13 +119,13 @@ class Cells:
         return work
 
     def expect(
-        self, coefficients: Coefficients, left: float, bends: list[np.ndarray] | None
+        self, coefficients: Coefficients, left: float, bends: list[np.ndarray | None]
     ) -> None:
         """Let the forces be those at the end of a step, in units of `left`, until the next update;
         see StressHistory.expect. bends: displacements (3, N) whose stresses those are."""
         if self.history is None:
             return
-        stresses = [self._second_stress(u) for u in bends] if bends else None
+        stresses = [0.0 if u is None else self._second_stress(u) for u in bends]
         relaxed = self.history.expect(coefficients, left, stresses)
         self._expected = Expected(relaxed, self.history.least / left, 1 / left)
 

@@ -88,7 +88,7 @@ class InternalForce:
         """
         self._relax = float(elapsed), float(ahead)
 
-    def expect(self, elapsed: float, bends: Sequence[np.ndarray] | None = None) -> float:
+    def expect(self, elapsed: float, bends: Sequence[np.ndarray | None] = ()) -> float:
         """Let the calls from here on give the internal force at the end of a step of `elapsed`
         seconds over which the elastic stress runs linearly, in units of the share c of the elastic
         stress that such a step leaves: c, which is 1 for elastic tissue.
@@ -97,9 +97,9 @@ class InternalForce:
         `relax` and a call take the step.
 
         bends: for each Prony term the displacement (3, N) m whose elastic stress has relaxed at the
-        end besides, where the stress bends within the step
+        end besides, where the stress bends within the step, or None
         """
-        bends = None if bends is None else [self._cast(u) for u in bends]
+        bends = [None if u is None else self._cast(u) for u in bends]
         coefficients = history_coefficients(self.material.prony, elapsed)
         left = 1.0 - sum(
             g * a * new

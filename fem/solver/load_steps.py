@@ -12,17 +12,18 @@ from fem.solver.load_ramp import NodalLoad
 # share of the largest remembered load so far that may have relaxed besides what a step knows of it
 BEND = 0.005
 STRAIGHT = 3e-4  # the same, below which a step knows nothing of it
-SAMPLE = 0.01  # share of the stress that may relax between two samples of the load
+SAMPLE = 0.015  # share of the stress that may relax between two samples of the load
 JUMP = 1e-6  # share of an `advance` in which a load comes that jumps at its start
 
 
 class LoadStep(NamedTuple):
-    """time: s, of its end; load: (3, N) N there; bends: what `LoadSteps` says, one of each Prony
-    term, or None where they are too small to matter."""
+    """time: s, of its end; load: (3, N) N there; change: of f~ over the step, (3, N) N, see
+    LoadSteps; bends: b_k, (3, N) N of each Prony term, None where it is too small to matter."""
 
     time: float
     load: np.ndarray
-    bends: np.ndarray | None
+    change: np.ndarray
+    bends: list[np.ndarray | None]
 
 
 class LoadSteps:
@@ -47,22 +48,23 @@ class LoadSteps:
         self.largest = 0.0  # N, of the norms of f~
 
     def plan(
-        self, load: NodalLoad, start: float, end: float, first: np.ndarray, jumps: bool
+        self, load: NodalLoad, start: float, end: float, old: np.ndarray, jump: np.ndarray | None
     ) -> list[LoadStep]:
         """The steps from `start` to `end`.
 
-        first: the load at `start`; jumps: whether it is another than that of the last call's end
+        old: the load in which the last ended; jump: the load at `start`, where it is another
         """
         if not self.prony:
-            return [LoadStep(end, np.asarray(load(end), float), None)]
+            last = np.asarray(load(end), float)
+            return [LoadStep(end, last, last - old, [])]
         relaxing = -sum(g * np.expm1((start - end) / tau) for g, tau in self.prony)
         count = int(np.ceil(relaxing / SAMPLE))
         inner = start + (end - start) * np.arange(1, count) / max(count, 1)
         times = [*inner, end]
         loads = [np.asarray(load(time), float) for time in times]
-        if jumps:
+        if jump is not None:
             times.insert(0, start + JUMP * (end - start))
-            loads.insert(0, first)
+            loads.insert(0, jump)
         return self._longest([start, *times], loads)
 
     def _longest(self, times, loads):
@@ -77,13 +79,12 @@ class LoadSteps:
             self.largest = max(self.largest, float(np.linalg.norm(now)))
             relaxed = self._relaxed(time - before, self.remembered, now, relaxed)
             bends = relaxed - self._relaxed(time - begin, old, now)
-            if last and self._size(bends) > BEND * self.largest:
+            if last and sum(self._sizes(bends)) > BEND * self.largest:
                 kept.append(last)
                 begin, old = before, self.remembered
                 relaxed = self._relaxed(time - before, old, now)
                 bends = np.zeros_like(relaxed)
-            straight = self._size(bends) <= STRAIGHT * self.largest
-            last = LoadStep(time, load, None if straight else bends)
+            last = LoadStep(time, load, now - old, self._noticed(bends))
             self.remembered = now
         return [*kept, last]
 
@@ -97,9 +98,17 @@ class LoadSteps:
                 share += (1 - a) * relaxed
         return found
 
-    def _size(self, bends):
-        """sum g_k |b_k|, N."""
-        return sum(g * np.linalg.norm(bend) for (g, _), bend in zip(self.prony, bends, strict=True))
+    def _sizes(self, bends):
+        """[g_k |b_k|], N."""
+        return [g * np.linalg.norm(b) for (g, _), b in zip(self.prony, bends, strict=True)]
+
+    def _noticed(self, bends):
+        """The bends that matter."""
+        least = STRAIGHT * self.largest
+        return [
+            bend if size > least else None
+            for bend, size in zip(bends, self._sizes(bends), strict=True)
+        ]
 
     def state(self) -> State:
         """All that the next plan depends on besides the load; nothing for elastic tissue."""

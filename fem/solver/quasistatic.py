@@ -2,43 +2,41 @@
 time, without inertia."""
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
 from fem.errors import InputError, SolverStopped, Stop
 from fem.material.base import Hyperelastic, shear_modulus
 from fem.mesh.hexmesh import HexMesh
-from fem.solver.anderson import Anderson
-from fem.solver.balance import Balance, by_chords, by_newton
 from fem.solver.body import DeformableBody
 from fem.solver.gate import Gate
 from fem.solver.load_ramp import NodalLoad, checked_duration, first_load
 from fem.solver.load_steps import LoadSteps
 from fem.solver.record import Energies, Observer, Step
-from fem.solver.stiffness import Factors, Stiffness, at_rest
+from fem.solver.search import EquilibriumSearch
 
 TOLERANCE = 1e-3
 FINEST = {"float32": 1e-5, "float64": 1e-9}  # tolerances that rounding leaves room for
 # share of the largest load so far by which a residual is measured at least, for a load that goes
 FADED = 0.03
 FAINT = 1e-6  # the same of mu h^2 with the edge h of a cell, for a load that has yet to come
-SMALLEST_PART = 1 / 64  # of a load that is raised in parts
+# times the tolerance is enough for a step within an `advance`: only what relaxes there is kept
+WITHIN = 10.0
 
 
 class QuasiStatic(DeformableBody):
     """One quasi-static simulation: the tissue is in equilibrium with its load at the end of every
-    step, and over each its elastic stress runs linearly in time.
+    step, and over each its elastic stress runs as if it were linear tissue.
 
     mesh, material, element, precision, hourglass_stiffness, allow_locking: see
     fem.solver.body.DeformableBody
     tolerance: largest residual over load, as norms over the free nodes
 
-    `u` is the displacement (3, N) in m at `time` (s), after `steps` steps and `evaluations` of the
-    internal force. `gate` looks on as in fem.solver.explicit.Solver; `snapshot` and `restore` keep
-    a run and go on from it. A run that cannot go on raises SolverStopped, whose `reason` is the
-    fem.errors.Stop NOT_IN_EQUILIBRIUM or what the observers give; `u` and `time` are then those of
-    the last equilibrium.
+    `u` is the displacement (3, N) in m at `time` (s), after `steps` steps. `gate` looks on as in
+    fem.solver.explicit.Solver; `snapshot` and `restore` keep a run and go on from it. A run that
+    cannot go on raises SolverStopped, whose `reason` is the fem.errors.Stop NOT_IN_EQUILIBRIUM or
+    what the observers give; it then stands at the last equilibrium, and may go on from there under
+    another load.
 
     Inertia is left out: docs/fem.md has the error of faster and faster pushes.
     """
@@ -62,15 +60,11 @@ class QuasiStatic(DeformableBody):
                 f" {precision}; {TOLERANCE:g} is usual"
             )
         self.tolerance = float(tolerance)
-        self._kind = element, hourglass_stiffness
-        self.equations, self._rest = at_rest(mesh, material.elastic(), *self._kind)
-        self.factors = self._rest
+        self.search = EquilibriumSearch(mesh, material, element, hourglass_stiffness)
         self.gate: Gate | None = Gate()
-        self.stiffened_at = np.zeros(self.equations.size)  # m, what `factors` are of
-        self.anderson = Anderson(self.equations.size)
-        self.load_steps = LoadSteps(material.prony, self.equations.shape)
-        self.u, self.load, self.internal = np.zeros((3, *self.equations.shape))
-        self.time, self.steps, self.evaluations = 0.0, 0, 0
+        self.u, self.load, self.internal = np.zeros((3, 3, mesh.n_nodes))
+        self.load_steps = LoadSteps(material.prony, self.u.shape)
+        self.time, self.steps = 0.0, 0
         self.largest_load, self.min_J = 0.0, 1.0  # N, norm over the free nodes; of the last state
         self.viscous_work = 0.0  # J, of the steps at which observers looked
         self._faint = FAINT * np.mean(shear_modulus(material))
@@ -79,11 +73,6 @@ class QuasiStatic(DeformableBody):
         # of the present state, where observers have asked for them
         self._energies: Energies | None = None
         self._viscous: np.ndarray | None = None
-
-    @cached_property
-    def stiffness(self) -> Stiffness:
-        """The consistent tangent, built where it is needed."""
-        return Stiffness(self.mesh, self.material, *self._kind, self.equations)
 
     def advance(self, duration: float, load: NodalLoad, observers: Sequence[Observer] = ()) -> None:
         """Go on for `duration` seconds under the nodal force `load(t)` (3, N) in N.
@@ -104,20 +93,29 @@ class QuasiStatic(DeformableBody):
         if not duration:
             return
         jumps = self._norm(first - self.load) > self.tolerance * self._scale(first)
-        for step in self.load_steps.plan(load, self.time, end, first, jumps):
-            self._step(step, observers)
+        way = self.load, first if jumps else None
+        begin, memory = self.time, self.load_steps.state()
+        try:
+            for step in self.load_steps.plan(load, begin, end, *way):
+                self._step(step, observers, self.tolerance * (1 if step.time == end else WITHIN))
+        except SolverStopped:
+            self.load_steps.restore(memory)
+            if self.time > begin:
+                self.load_steps.plan(load, begin, self.time, *way)
+            self.search.anderson.clear()
+            raise
         looking: list[Observer] = [*observers, *([self.gate] if self.gate else [])]
         if looking:
             closing = self._record(0.0, np.zeros_like(self.u), True)
             for observer in looking:
                 observer(closing)
 
-    def _step(self, step, observers):
+    def _step(self, step, observers, tolerance):
         """Take a LoadStep."""
-        time, load, _ = step
+        time, load, *_ = step
         dt = time - self.time
         self.largest_load = max(self.largest_load, self._norm(load))
-        u = self._equilibrium(step)
+        u = self._equilibrium(step, tolerance)
         velocity = (u - self.u) / dt
         if observers:
             opening = self._record(dt, velocity, False)
@@ -126,7 +124,7 @@ class QuasiStatic(DeformableBody):
         before = self._viscous_force() if observers else None
         self.force.relax(dt)
         self.internal = self.force(u)
-        self.min_J, self.evaluations = self.force.min_J, self.evaluations + 1
+        self.min_J = self.force.min_J
         old, self.u, self.load = self.u, u, load
         self.time, self.steps, self._velocity = time, self.steps + 1, velocity
         self._energies = self._viscous = None
@@ -140,72 +138,25 @@ class QuasiStatic(DeformableBody):
             self._viscous = self.internal - self.elastic_force(self.u)
         return self._viscous
 
-    def _equilibrium(self, step):
+    def _equilibrium(self, step, tolerance):
         """The displacement (3, N) in equilibrium at the end of a LoadStep. Raises SolverStopped."""
-        time, load, bends = step
-        if bends is not None:
-            bends = [self._linear_answer(bend) for bend in bends]
-        left = self.force.expect(time - self.time, bends)
-        tolerance = self.tolerance * self._scale(load)
-        start = self.equations.vector(self.u)
-        balance = Balance(self.force, self.equations, load / left, tolerance / left)
-        self.anderson.begin()
-        x, error = by_chords(balance, start, self.factors, self.anderson)
-        if error > 1 and self._stiffen(x):
-            x, error = by_chords(balance, x, self.factors, self.anderson)
-        if error > 1:
-            self.anderson.clear()
-            self.stiffness.follow(self.force, time - self.time, bends)
-            x, error = by_newton(balance, x, self.stiffness)
-        if error > 1:
-            x, error = self._in_parts(balance, start, self.load / left)
-        self.evaluations += balance.evaluations
-        if error > 1:
-            self._stop(error, time)
-        return self.equations.field(x)
-
-    def _linear_answer(self, load):
-        """The displacement (3, N) m of the elastic tissue under a small load (3, N) N."""
-        return self.equations.field(self._rest.solve(self.equations.vector(load)))
-
-    def _stiffen(self, x):
-        """Take the stiffness of the elastic tissue at the displacements x from here on; whether it
-        is regular. The chords serve as well without what has relaxed, and a snapshot needs no more
-        than x."""
-        self.stiffness.force.forget()
-        try:
-            self.factors = Factors(self.stiffness.matrix(self.equations.field(x)))
-        except RuntimeError:
-            return False
-        self.stiffened_at = x.copy()
-        self.anderson.clear()
-        return True
-
-    def _in_parts(self, balance, x, old):
-        """(x, error) by Newton's method, while the load climbs from the `old`."""
-        whole, error = balance.load, np.inf
-        reached, part = 0.0, 0.5
-        while part >= SMALLEST_PART:
-            goal = min(1.0, reached + part)
-            balance.load = old + goal * (whole - old)
-            found, error = by_newton(balance, x, self.stiffness)
-            if error > 1:
-                part /= 2
-                continue
-            x, reached, part = found, goal, 2 * part
-            if reached == 1:
-                break
-        return x, error
-
-    def _stop(self, error, time):
-        raise SolverStopped.because(
-            Stop.NOT_IN_EQUILIBRIUM,
-            f"the residual is {error * self.tolerance:.2g} of the load at {time:.4g} s, and"
-            f" {self.tolerance:g} was asked for",
+        elapsed, scale, search = step.time - self.time, self._scale(step.load), self.search
+        bends = [None if bend is None else search.linear_answer(bend) for bend in step.bends]
+        left = self.force.expect(elapsed, bends)
+        loads = self.load / left, step.load / left
+        u, residual = search.find(
+            self.force, self.u, step.change, loads, tolerance * scale / left, (elapsed, bends)
         )
+        if not residual * left <= tolerance * scale:
+            raise SolverStopped.because(
+                Stop.NOT_IN_EQUILIBRIUM,
+                f"the residual is {residual * left / scale:.2g} of the load at {step.time:.4g} s,"
+                f" and {tolerance:g} was asked for",
+            )
+        return u
 
     def _norm(self, force):
-        return float(np.linalg.norm(self.equations.vector(force)))
+        return float(np.linalg.norm(force[:, ~self.held]))
 
     def _scale(self, load):
         """What a residual is measured by, N."""
@@ -244,7 +195,7 @@ class QuasiStatic(DeformableBody):
         return (
             {name: np.array(getattr(self, name)) for name in _KEPT}
             | {f"force.{name}": array for name, array in self.force.state().items()}
-            | {f"anderson.{name}": array for name, array in self.anderson.state().items()}
+            | {f"search.{name}": array for name, array in self.search.state().items()}
             | {f"load.{name}": array for name, array in self.load_steps.state().items()}
         )
 
@@ -257,18 +208,13 @@ class QuasiStatic(DeformableBody):
             raise InputError(
                 "the snapshot is of another solver; restore one of the same mesh and material"
             )
-        stiffened_at = snapshot["stiffened_at"]
-        if not stiffened_at.any():
-            self.factors = self._rest
-        elif not np.array_equal(stiffened_at, self.stiffened_at):
-            self._stiffen(stiffened_at)
         for name in _KEPT:
             value = np.array(snapshot[name])
             setattr(self, name, value if value.ndim else value.item())
         self._energies = self._viscous = None
         for part, owner in (
             ("force.", self.force),
-            ("anderson.", self.anderson),
+            ("search.", self.search),
             ("load.", self.load_steps),
         ):
             owner.restore(
@@ -286,10 +232,8 @@ _KEPT = (
     "internal",
     "time",
     "steps",
-    "evaluations",
     "largest_load",
     "min_J",
     "viscous_work",
-    "stiffened_at",
     "_velocity",
 )

@@ -17,7 +17,7 @@ class QuasiStaticLoop:
     element, precision, hourglass_stiffness, tolerance: see fem.solver.quasistatic.QuasiStatic
 
     The force runs linearly from the last call to this one. `step` raises SolverStopped where there
-    is no equilibrium.
+    is no equilibrium; the loop then stands where it was, and takes another force.
     """
 
     interval = None
@@ -59,8 +59,8 @@ class QuasiStaticLoop:
     def _step(self, force, dt):
         """Displacement (N, 3) mm under the force (N, 3) mN."""
         old, new, start = self.load, force.T * (1 / MN), self.solver.time
-        self.load = new
         self.solver.advance(dt, lambda t: old + (t - start) / dt * (new - old))
+        self.load = new
         return (self.solver.u.T * MM).astype(np.float32)
 
     def state(self) -> State:

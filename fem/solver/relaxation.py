@@ -61,9 +61,7 @@ class StressHistory:
         self.bends: list[Any] = []
         self.pairing = 0.0  # J, the product of V and the strain at its last update
 
-    def expect(
-        self, coefficients: Coefficients, left: float, bends: list[np.ndarray] | None = None
-    ) -> np.ndarray:
+    def expect(self, coefficients: Coefficients, left: float, bends: list[Any]) -> np.ndarray:
         """Let V be what the past leaves of the stress after a step, Q / c with c = `left`: six
         components.
 
@@ -72,11 +70,10 @@ class StressHistory:
 
             c = 1 - sum g_k a_k new_k,   Q = sum g_k ((1 - a_k) q_k + a_k old_k S_old + b_k)
 
-        bends: one for each term, (6, Q, E), or None; the next `update` takes them too
+        bends: one for each term, (6, Q, E) or 0, or none at all; the next `update` takes them too
         """
         total: Any = 0.0
-        none: list[Any] = [total] * len(self.prony)
-        self.bends = bends or none
+        self.bends = bends or [0.0] * len(self.prony)
         for (g, _), (a, old, _, _), q, bend in zip(
             self.prony, coefficients, self.relaxed, self.bends, strict=True
         ):

@@ -77,13 +77,12 @@ class Stiffness:
         self._places = rows[self._inside], columns[self._inside]
 
     def follow(
-        self, force: InternalForce, elapsed: float, bends: Sequence[np.ndarray] | None = None
+        self, force: InternalForce, elapsed: float, bends: Sequence[np.ndarray | None]
     ) -> None:
         """Be the stiffness at the end of the step that `force`, of the whole mesh, expects; see
         InternalForce.expect."""
         self.force.restore(force.state())
-        bends = None if bends is None else [self._torn(u) for u in bends]
-        self.force.expect(elapsed, bends)
+        self.force.expect(elapsed, [None if u is None else self._torn(u) for u in bends])
 
     def _torn(self, u):
         """The displacement (3, N) on the torn mesh."""

@@ -12,6 +12,8 @@ from fem.data.scene import Frames, Health, Interactions, MeshChoice, Scene, Solv
 from fem.errors import InputError
 from fem.material.neo_hooke import NeoHooke
 from fem.mesh.shapes import box, tumour
+from fem.solver.explicit import Solver
+from fem.solver.quasistatic import QuasiStatic
 
 
 def scene(kind=float, pair=tuple):
@@ -89,6 +91,35 @@ def test_settings_without_a_say_are_refused():
     with pytest.raises(InputError, match="hourglass_stiffness = 0.1 has no meaning for .*'full'"):
         SolverChoice(hourglass_stiffness=0.1)
     assert SolverChoice("reduced").hourglass_stiffness == 0.2
+    with pytest.raises(InputError, match="tolerance = 0.001 has no meaning for .*'explicit'"):
+        SolverChoice(tolerance=1e-3)
+    for wrong in ({"damping": 20.0}, {"mass_scaling": 4.0}, {"safety": 0.5}):
+        (name,) = wrong
+        with pytest.raises(
+            InputError, match=f"solver.{name} = .* knows no mass and no stable step"
+        ):
+            SolverChoice(kind="quasistatic", **wrong)
+
+
+def test_a_quasistatic_scene_says_so_and_an_explicit_one_reads_as_before():
+    """The text of a scene has what its solver knows, and reads back as the scene."""
+    explicit = scene()
+    quasistatic = replace(explicit, solver=SolverChoice(kind="quasistatic"), health=Health())
+    text = tomllib.loads(quasistatic.toml())
+    assert text["solver"] == {
+        "kind": "quasistatic",
+        "element": "full",
+        "precision": "float32",
+        "tolerance": 1e-3,
+    }
+    assert config.build(Scene, text) == quasistatic
+    old = tomllib.loads(explicit.toml())
+    assert set(old["solver"]) == {"element", "precision", "damping", "mass_scaling", "safety"}
+    assert "pull" not in old["contact"]
+    assert explicit.health.imbalance == 0.01 < quasistatic.health.imbalance
+    mesh = box((4, 4, 2), 1e-3)
+    assert isinstance(quasistatic.build_solver(mesh), QuasiStatic)
+    assert isinstance(explicit.build_solver(mesh), Solver)
 
 
 def test_a_box_is_held_and_loaded_as_chosen():
