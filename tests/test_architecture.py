@@ -25,8 +25,8 @@ LAWS = (
 # From the bottom up. A module belongs to the longest of these names that it starts with, and may
 # import from its own layer and those before it.
 LAYERS = [
-    "fem.errors fem.lazy fem.former fem.files fem.ranges fem.locks fem.cache fem.settings"
-    " fem.workers fem.commands fem.measure.timing fem.measure.machine"
+    "fem.errors fem.lazy fem.former fem.files fem.ranges fem.memory fem.locks fem.cache"
+    " fem.settings fem.workers fem.commands fem.measure.timing fem.measure.machine"
     " fem unet_fem unet_fem.former unet_fem.metrics",
     LAWS,
     "fem.online",

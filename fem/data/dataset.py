@@ -5,10 +5,11 @@ The schema is described in docs/data.md.
 """
 
 import json
+import math
 import tomllib
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -21,9 +22,19 @@ from fem.contact.table import table_contacts
 from fem.data.draws import redrawn_contacts
 from fem.data.grid import displacement_on_grid, force_on_grid, grid_of
 from fem.data.scene import SPLITS, Scene
-from fem.data.schema import CONFIRMATION, FIELDS, FIRST_FORMAT, FORMAT, check_members
+from fem.data.schema import (
+    AT_ONCE,
+    CONFIRMATION,
+    FIELDS,
+    FIRST_FORMAT,
+    FORMAT,
+    check_contents,
+    check_members,
+    damaged,
+)
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
+from fem.memory import require_memory
 from fem.mesh import element
 from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
@@ -116,18 +127,16 @@ class Dataset:
             rows = np.array([self._row(split, number) for number in numbers], int)
         whole = len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows)))
         with _opened(self.path) as file:
+            shapes = [file[name].shape[1:] for name in fields]
+            size = 4 * len(rows) * sum(math.prod(shape) for shape in shapes)
+            require_memory(size, f"the {split} interactions of {self.path}")
             found = {
                 name: file[name][rows[0] : rows[-1] + 1]
                 if whole
                 else np.array([file[name][row] for row in rows])
                 for name in fields
             }
-        for name, values in found.items():
-            if not np.isfinite(values).all():
-                raise InputError(
-                    f"{self.path} holds values that are not finite in {name} ({split}); delete it"
-                    " and generate it again"
-                )
+            self._check_finite(found, split)
         return found | {"hard": self.hard[rows], "number": self.number[rows]}
 
     def contacts(self, split: str, number: int) -> list[Contact]:
@@ -152,15 +161,10 @@ class Dataset:
         """The HexMesh (m) that the interactions were simulated on, read from the file: whole and to
         the bit, or, from the first format, by way of mm and of the grid."""
         with _opened(self.path) as file:
-            try:
-                if self.format == FORMAT:
-                    return read_mesh_group(file["mesh"], self.grid)
-                if "mesh" in file:
-                    return read_mesh_group(file["mesh"], self.grid, MM)
-            except InputError as error:
-                raise InputError(
-                    f"{self.path} is damaged ({error}); delete it and generate it again"
-                ) from None
+            if self.format == FORMAT:
+                return read_mesh_group(file["mesh"], self.grid)
+            if "mesh" in file:
+                return read_mesh_group(file["mesh"], self.grid, MM)
             loaded = file["loaded"][()] if "loaded" in file else None
         if loaded is None:
             return self.mesh
@@ -229,7 +233,13 @@ class Dataset:
                 fields = {name: file[f"mesh/{name}"][row] for name in FIELDS}
             else:
                 fields = {name: mesh.grid.from_grid(file[name][row]) for name in FIELDS}
+            self._check_finite(fields | energy, f"{split} {number}")
         return Sequence(mesh, self.time, **fields, energy=energy)
+
+    def _check_finite(self, found, where):
+        for name, values in found.items():
+            if not np.isfinite(values).all():
+                raise damaged(self.path, f"values are not finite in {name} ({where})")
 
     def _row(self, split, number):
         rows = np.flatnonzero((self.split == split) & (self.number == number))
@@ -288,23 +298,20 @@ def open_dataset(path: str | Path) -> Dataset:
         if form not in (FORMAT, FIRST_FORMAT):
             raise InputError(f"{path} is not a '{FORMAT}' file (format: {form}); generate it again")
         check_members(file, path)
-        arrays = {
-            name: file[name][()]
-            for name in ("time", "number", "hard", "mask", "fixed", "points", "cells")
-        }
-        split = file["split"][()].astype(str)
+        arrays = {name: file[name][()] for name in AT_ONCE}
         tree = tomllib.loads(file.attrs["scene"])
         if tree.get("mesh", {}).get("kind") == "tumour":
             tree["mesh"].pop("cells", None)  # migration: of the tumour's former block
+        scene = config.build(Scene, tree)
+        # a path in a scene file is its user's; one in a dataset is not followed
+        scene = replace(scene, mesh=scene.mesh.detached())
         lost = float(file.attrs.get("embedding_error", 0.0))
-    return Dataset(
-        path=path,
-        scene=config.build(Scene, tree),
-        split=split,
-        embedding_error=lost,
-        format=form,
-        **arrays,
-    )
+        if not 0 <= lost < np.inf:
+            raise damaged(path, f"its embedding_error is {lost}")
+        check_contents(path, arrays, scene)
+    del arrays["volume"]
+    split = arrays.pop("split").astype(str)
+    return Dataset(path=path, scene=scene, split=split, embedding_error=lost, format=form, **arrays)
 
 
 @contextmanager
@@ -321,7 +328,10 @@ def _opened(path: Path) -> Iterator[h5py.File]:
     with file:
         try:
             yield file
-        except (KeyError, OSError) as error:
-            raise InputError(
-                f"{path} is damaged ({error}); delete it and generate it again"
-            ) from None
+        except InputError as error:
+            if str(path) in str(error):
+                raise
+            raise damaged(path, str(error)) from None
+        # h5py and its readers fail in many ways on bytes that are not theirs
+        except (KeyError, OSError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+            raise damaged(path, " ".join(str(error).split())[:200]) from None

@@ -76,15 +76,15 @@ class MeshChoice:
         if kind == "file" and not self.file:
             raise InputError("mesh.kind = 'file' needs mesh.file, such as 'liver.vtu'")
 
-    def located(self, folder: str | Path) -> "MeshChoice":
+    def located(self, folder: str | Path | None) -> "MeshChoice":
         """This choice with its file found in `folder` and its content known."""
         if self.kind != "file" or self.file is None:
             return self
-        path = Path(folder, self.file)
-        if not path.is_file():
+        path = None if folder is None else Path(folder, self.file)
+        if path is None or not path.is_file():
             raise InputError(
-                f"no mesh file {path}; mesh.file is relative to the scene file (the mesh of a"
-                " dataset is in it: dataset.fem_mesh)"
+                f"no mesh file {path or self.file}; mesh.file is relative to the scene file (the"
+                " mesh of a dataset is in it: dataset.fem_mesh)"
             )
         sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
         if self.sha256 not in (None, sha256):
@@ -93,6 +93,12 @@ class MeshChoice:
                 " mesh or leave mesh.sha256 out"
             )
         return replace(self, sha256=sha256, folder=folder)
+
+    def detached(self) -> "MeshChoice":
+        """This choice without the right to read its file: that of a dataset's scene."""
+        choice = replace(self, mesh=self.mesh)  # type: ignore[attr-defined]
+        object.__setattr__(choice, "folder", None)
+        return choice
 
     def build(self) -> HexMesh:
         """The HexMesh, with its node grid if it lies on one and none is asked for.

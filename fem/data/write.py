@@ -7,16 +7,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from fem.contact.table import TABLE, contact_table
 from fem.data.confirm import Confirmation
 from fem.data.grid import displacement_from_grid, displacement_on_grid, force_on_grid
+from fem.data.hdf5 import new_hdf5
 from fem.data.scene import Scene
 from fem.data.schema import CONFIRMATION, FIELDS, FORMAT, UNITS
 from fem.errors import InputError
-from fem.files import replacing
 from fem.measure.machine import versions
 from fem.mesh.hexmesh import HexMesh
 from fem.online.grid import MM
@@ -39,7 +38,7 @@ def write_dataset(
     A temporary file beside it takes its place only when it is complete.
     """
     embedding = scene.mesh.embed(mesh)
-    with replacing(path) as partial, h5py.File(partial, "w") as file:
+    with new_hdf5(path) as file:
         _describe(file, scene)
         file.attrs["mesh_digest"] = mesh.digest
         _write_grid(file, embedding.grid_mesh if embedding else mesh)

@@ -7,8 +7,10 @@ from pathlib import Path
 import keras
 import numpy as np
 
+from fem.cache import digest
 from fem.data.dataset import Dataset
 from fem.errors import InputError
+from fem.files import write_text
 from fem.measure.timing import paired_ratio
 from unet_fem.deployment.exported import lite_file, model_file
 from unet_fem.deployment.latency import time_steppers
@@ -48,9 +50,9 @@ def smaller_run(
     small = _smaller_settings(settings, model, share, by_filters, epochs, learning_rate)
     prepare_folder(small, dataset, resume=(small.folder / "config.toml").is_file())
     keep_input(small, dataset, run_input(settings, dataset))
-    done = small.folder / "pruned"
+    done, origin = small.folder / "pruned", digest([], [parent])
     if done.is_file():
-        if done.stat().st_mtime < parent.stat().st_mtime:
+        if done.read_text() not in ("", origin):  # empty in runs made before 0.2
             raise InputError(
                 f"{small.folder} is of an older {settings.folder}; delete it to make it again"
             )
@@ -62,7 +64,7 @@ def smaller_run(
         _thin_and_tune(model, small, dataset)
     else:
         _prune_and_tune(model, small, dataset, share)
-    done.touch()
+    write_text(done, origin)
     return small
 
 

@@ -7,6 +7,7 @@ here.
 
 import dataclasses
 import importlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import ModuleType
@@ -49,6 +50,10 @@ class Options:
     def check(self, grid: tuple[int, int, int]) -> None:
         """Raises InputError where the model does not fit a grid of nodes (nx, ny, nz)."""
 
+    def weights(self, grid: tuple[int, int, int]) -> float:
+        """About how many weights the model has on that grid, to tell whether they fit memory."""
+        return 0.0
+
 
 @dataclass(frozen=True)
 class CnnLstm(Options):
@@ -65,6 +70,10 @@ class CnnLstm(Options):
     def check(self, grid: tuple[int, int, int]) -> None:
         block_channels(self.units, coarse_block(grid))
 
+    def weights(self, grid: tuple[int, int, int]) -> float:
+        features = 32 * math.prod(n / 3 for n in grid)
+        return 8.0 * self.units * (features + self.units)
+
 
 @dataclass(frozen=True)
 class UNet(Options):
@@ -72,6 +81,9 @@ class UNet(Options):
 
     kind: str = field(default="unet", init=False)
     filters: int = number(1, 10_000, default=64)
+
+    def weights(self, grid: tuple[int, int, int]) -> float:
+        return 400.0 * self.filters**2
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import keras
 
 from fem.errors import InputError
 from fem.files import replacing, write_text
-from unet_fem.networks.files import load_model, save_model
+from unet_fem.networks.files import check_links, load_model, save_model
+from unet_fem.training.run import read_history
 
 __all__ = ["Checkpoint", "load_model", "save_model"]
 
@@ -37,17 +38,28 @@ class Checkpoint(keras.callbacks.Callback):
             return 0
         model.optimizer.build(model.trainable_variables)
         try:
+            check_links(self.weights)
             with warnings.catch_warnings():  # what does not fit is told in one line below
                 warnings.simplefilter("ignore")
                 model.load_weights(self.weights)
-            history = json.loads(self.history_file.read_text())
-        except (ValueError, OSError, KeyError) as error:
+        # Keras and HDF5 fail in many ways on what is not theirs
+        except (ValueError, OSError, KeyError, RuntimeError, TypeError, AttributeError) as error:
             raise InputError(
                 f"{self.weights} does not fit this model or is damaged"
-                f" ({str(error).splitlines()[0]}); give another name= or delete {self.folder}"
+                f" ({' '.join(str(error).split())[:200]}); give another name= or delete"
+                f" {self.folder}"
             ) from None
+        history = read_history(self.history_file)
         done = int(model.optimizer.iterations) // self.steps_per_epoch
         self.history = {name: values[:done] for name, values in history.items()}
+        if any(
+            len(values) < done
+            for values in [self.history.get("val_relative_error", []), *self.history.values()]
+        ):
+            raise InputError(
+                f"{self.history_file} has fewer than the {done} epochs of {self.weights}; delete"
+                f" {self.folder} and train again"
+            )
         return done
 
     @property

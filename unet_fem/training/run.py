@@ -1,15 +1,16 @@
 """The folder of a training run: vetted, made, opened, and matched with its dataset."""
 
-import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from fem import settings as config
 from fem.data.dataset import Dataset, open_dataset
 from fem.data.scene import Scene, load_scene
 from fem.errors import InputError
-from fem.files import write_text
+from fem.files import read_json, vet_output, write_text
+from fem.memory import require_memory
 from unet_fem.networks.registry import network
 from unet_fem.training.settings import Settings, foreign, from_tree
 
@@ -35,22 +36,38 @@ def read_settings(folder: Path | str) -> Settings:
     return from_tree(tree)
 
 
-MESH = "mesh.sha256"  # file of a run's folder: the mesh that it was trained on, HexMesh.digest
+# files of a run's folder: the digest of the mesh that it was trained on, the scene of its data
+MESH, SCENE = "mesh.sha256", "scene.toml"
 
 
-def check_mesh(folder: Path | str, dataset: Dataset) -> None:
-    """Raises InputError unless the run in `folder` was trained on the mesh of `dataset`."""
+def check_dataset(folder: Path | str, dataset: Dataset) -> None:
+    """Raises InputError unless the run in `folder` was trained on the mesh and the scene of
+    `dataset`: on its numbers, which follow from the two. Runs made before scenes were kept are
+    judged by the mesh alone."""
     record = Path(folder, MESH)
     if not record.is_file():
         raise InputError(
             f"{folder} does not say on which mesh it was trained ({MESH} is missing: it is from"
             " before version 0.2); train it again under another name="
         )
-    if record.read_text().strip() != dataset.mesh_digest:
+    another = None
+    if record.read_bytes().strip() != dataset.mesh_digest.encode():
+        another = "mesh"
+    elif Path(folder, SCENE).is_file() and _scene_of(folder) != dataset.scene:
+        another = "scene"
+    if another:
         raise InputError(
-            f"{folder} was trained on another mesh than {dataset.path} holds; train it again under"
-            " another name=, or give its dataset back"
+            f"{folder} was trained on another {another} than {dataset.path} holds; train it again"
+            " under another name=, or give its dataset back"
         )
+
+
+def _scene_of(folder):
+    path = Path(folder, SCENE)
+    try:
+        return config.build(Scene, tomllib.loads(path.read_bytes().decode()))
+    except ValueError as error:  # InputError among them
+        raise InputError(f"{path} is damaged ({error}); delete {folder} and train again") from None
 
 
 def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
@@ -63,7 +80,7 @@ def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
             f" run from the folder that holds {settings.folder}"
         )
     dataset = open_dataset(settings.data).for_learning()
-    check_mesh(folder, dataset)
+    check_dataset(folder, dataset)
     return settings, dataset
 
 
@@ -76,18 +93,35 @@ def vet(settings: Settings, resume: bool = False) -> None:
     """Raises InputError for all that can be wrong with `settings` before anything is made: the
     folder, the scene, the dataset if there is one, and the network on its grid."""
     vet_folder(settings, resume)
+    vet_output(settings.folder, folder=True)
     scene = load_scene(settings.scene)
     grid: tuple[int, ...] | None
     if Path(settings.data).is_file():
         dataset = matching_dataset(settings, scene)
         if (settings.folder / "config.toml").is_file():
-            check_mesh(settings.folder, dataset)
+            check_dataset(settings.folder, dataset)
         grid = dataset.grid
     else:
+        vet_output(settings.data)
         grid = scene.mesh.grid or scene.mesh.build().grid_shape
     if grid:  # without one the dataset cannot be made, and making it tells why
         nx, ny, nz = grid
         settings.model.check((nx, ny, nz))
+        _vet_size(settings, scene, (nx, ny, nz))
+
+
+def _vet_size(settings, scene, grid):
+    """Raises InputError where the windows, or the weights with what Adam keeps, exceed memory."""
+    frames, (nx, ny, nz) = scene.frames.count, grid
+    windows = scene.interactions.train * frames * ((settings.model.window or 1) + 1)
+    require_memory(
+        12 * windows * nx * ny * nz,
+        f"the windows of {scene.interactions.train} interactions",
+        f"lower model.steps = {settings.model.window} or take fewer interactions",
+    )
+    weights = settings.model.weights(grid)
+    own = ", ".join(f"model.{name} = {value}" for name, value in settings.model.own().items())
+    require_memory(16 * weights, f"a network of {weights:.3g} weights ({own})", "lower them")
 
 
 def vet_folder(settings: Settings, resume: bool = False) -> None:
@@ -117,18 +151,29 @@ def finished(settings: Settings) -> bool:
         return False
     if not history.is_file():
         return True
-    epochs = [len(values) for values in json.loads(history.read_text()).values()]
-    return settings.train.epochs <= max(epochs, default=0)
+    return settings.train.epochs <= max(map(len, read_history(history).values()), default=0)
+
+
+def read_history(path: Path) -> dict[str, list[float]]:
+    """{name: value of each epoch} of a run's history. Raises InputError where it is damaged."""
+    history = read_json(path)
+    if not all(
+        isinstance(values, list) and all(isinstance(value, (int, float)) for value in values)
+        for values in history.values()
+    ):
+        raise InputError(f"{path} is damaged (not lists of numbers); delete {path.parent}")
+    return history
 
 
 def prepare_folder(settings: Settings, dataset: Dataset, resume: bool = False) -> None:
     """Make the run's folder with its settings and the mesh of its dataset, see `vet_folder`; one
-    that is there must be of this mesh, see `check_mesh`."""
+    that is there must be of this dataset, see `check_dataset`."""
     vet_folder(settings, resume)
     if (settings.folder / "config.toml").is_file():
-        check_mesh(settings.folder, dataset)
+        check_dataset(settings.folder, dataset)
     else:
         write_text(settings.folder / MESH, dataset.mesh_digest + "\n")
+        write_text(settings.folder / SCENE, dataset.scene.toml())
     write_text(settings.folder / "config.toml", settings.toml())
 
 
