@@ -81,7 +81,7 @@ class MeshChoice:
         if self.kind != "file" or self.file is None:
             return self
         path = None if folder is None else Path(folder, self.file)
-        if path is None or not path.is_file():
+        if folder is None or path is None or not path.is_file():
             raise InputError(
                 f"no mesh file {path or self.file}; mesh.file is relative to the scene file (the"
                 " mesh of a dataset is in it: dataset.fem_mesh)"
