@@ -53,7 +53,7 @@ STEPPERS = {
         "fem.online.reduced:ReducedStepper.open",
         "unet-fem reduced",
     ),
-    "elastic": Kind("linear elastic answer", "fem.data.elastic:elastic_stepper"),
+    "elastic": Kind("linear elastic answer", "fem.solver.elastic:elastic_stepper"),
     "fem": Kind("FEM", "fem.solver.frame_loop:FrameLoop"),
     "quasistatic": Kind("quasi-static FEM", "fem.solver.quasistatic_loop:QuasiStaticLoop"),
 }

@@ -19,7 +19,7 @@ class InputField:
     """f~, K^-1 f or K^-1 f~ on the node grid, made call by call from the force f.
 
     creep: of f~; without terms f itself is taken, and no state is kept. elastic: K^-1, see
-    fem.data.elastic, or None. corrects: whether a network on it learns the correction to it, which
+    fem.solver.elastic, or None. corrects: whether a network on it learns the correction to it, which
     is where there is K^-1.
     """
 

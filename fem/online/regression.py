@@ -5,7 +5,7 @@
     quadratic   u = sum_k (W f + Q f^2)_k phi_k
 
 with phi_k the modes of the training displacements (proper orthogonal decomposition). There is no
-intercept: no force moves nothing. unet_fem.networks.pod fits the weights; fem.data.elastic takes
+intercept: no force moves nothing. unet_fem.networks.pod fits the weights; fem.solver.elastic takes
 those of the linear elastic answer from the stiffness at rest.
 
 f is the force of the window's frames, or, with the terms of a creep function, the force as creeping

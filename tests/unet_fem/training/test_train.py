@@ -335,7 +335,7 @@ def test_shipped_configurations_are_the_papers(request):
     assert scene.interactions.hard_set == 32
     for name in ("quick", "paper"):
         settings = config.load_settings(root / f"configs/{name}.toml")
-        assert settings.loss == config.LossChoice(0.1, 0.07, 0.0)
+        assert settings.loss == config.LossChoice(0.1, 0.07)
         load_scene(root / settings.scene)
     assert (settings.model.units, settings.model.steps) == (512, 2)
 
