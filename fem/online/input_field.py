@@ -19,8 +19,8 @@ class InputField:
     """f~, K^-1 f or K^-1 f~ on the node grid, made call by call from the force f.
 
     creep: of f~; without terms f itself is taken, and no state is kept. elastic: K^-1, see
-    fem.solver.elastic, or None. corrects: whether a network on it learns the correction to it, which
-    is where there is K^-1.
+    fem.solver.elastic, or None. corrects: whether a network on it learns the correction to it,
+    which is where there is K^-1.
     """
 
     def __init__(

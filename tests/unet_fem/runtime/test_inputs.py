@@ -14,7 +14,7 @@ from fem.errors import InputError
 from fem.online.input_field import FILE
 from unet_fem.deployment import tflite as lite
 from unet_fem.deployment.forms import graph_stepper
-from unet_fem.deployment.twins import rebuild
+from unet_fem.deployment.twins import legacy_twin, rebuild
 from unet_fem.metrics import relative_l2
 from unet_fem.networks.files import save_model
 from unet_fem.networks.layers import seeing
@@ -89,6 +89,9 @@ def test_weights_and_layers_with_weights_are_those_of_the_plain_network(kind, ch
     assert [w.shape for w in model.get_weights()] == [w.shape for w in plain.get_weights()]
     again = rebuild(model, OPTIONS[kind])
     assert again.name == model.name and len(again.layers) == len(model.layers)
+    twin = legacy_twin(model, OPTIONS[kind])  # what is pruned
+    x = np.random.default_rng(0).normal(size=(2, *model.input_shape[1:])).astype("float32")
+    np.testing.assert_allclose(twin(x), model(x), atol=1e-5)
 
 
 def test_an_untrained_correction_of_nothing_is_the_elastic_answer(dataset, force):
