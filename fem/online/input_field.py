@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from fem.errors import InputError
-from fem.files import save_arrays
+from fem.files import load_arrays, save_arrays
 from fem.online.creep import Creep, CreepFilter
-from fem.online.regression import Regression, read_arrays
+from fem.online.regression import Regression
 from fem.online.stepper import State
 
 FORMAT = "unet-fem input 1"
@@ -94,7 +94,7 @@ class InputField:
     @classmethod
     def load(cls, path: Path | str) -> "InputField":
         """That at `path`. Raises InputError for a file that is damaged or another's."""
-        arrays = read_arrays(path)
+        arrays = load_arrays(path)
         if str(arrays.get("format")) != FORMAT or not {"mask", "creep"} <= arrays.keys():
             raise InputError(
                 f"{path} is not a whole '{FORMAT}' file; delete it and judge its run again with"

@@ -12,7 +12,6 @@ f is the force of the window's frames, or, with the terms of a creep function, t
 tissue remembers it (fem.online.creep): a stepper of such a regression keeps that memory.
 """
 
-import zipfile
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from fem.errors import InputError
-from fem.files import save_arrays
+from fem.files import load_arrays, save_arrays
 from fem.online.creep import Creep, CreepFilter
 from fem.online.grid import NodeGrid
 from fem.online.window import WindowStepper
@@ -168,7 +167,7 @@ class Regression:
         another's."""
         if not Path(path).is_file():
             raise InputError(f"no regression {path}; {REMEDY}")
-        arrays = read_arrays(path)
+        arrays: dict[str, Any] = load_arrays(path)
         if str(arrays.pop("format", None)) not in (FORMAT, FORMAT_1):
             raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
         for name, kind in (("steps", int), ("interval", float), ("elastic", bool)):
@@ -178,15 +177,6 @@ class Regression:
             return cls(**arrays)
         except TypeError as error:
             raise InputError(f"{path} is damaged ({error}); {REMEDY}") from None
-
-
-def read_arrays(path: Path | str) -> dict[str, Any]:
-    """The arrays of an .npz file; none of one that is not whole."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError, TypeError):
-        return {}
 
 
 class RegressionStepper(WindowStepper):

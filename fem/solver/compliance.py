@@ -7,7 +7,7 @@ from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
 from fem.solver.stiffness import Equations, Factors, Stiffness
 
-LARGEST = 2**30  # bytes of a compliance
+LARGEST = 2**28  # bytes of a compliance; half as many in a file
 BLOCK = 32  # forces that are solved for at once
 
 
@@ -27,7 +27,7 @@ def compliance(
     if size > LARGEST:
         raise InputError(
             f"the elastic answer to forces on {len(nodes)} of {mesh.n_nodes} nodes takes"
-            f" {size / 2**30:.1f} GiB; take a coarser mesh, or fewer loaded nodes"
+            f" {size / 2**20:.0f} MiB; take a coarser mesh, or fewer loaded nodes"
         )
     equations = Equations(mesh)
     stiffness = Stiffness(mesh, material.elastic(), element, hourglass_stiffness, equations)

@@ -7,15 +7,13 @@ grid, the mesh's digest and the label; it opens, but its surrogate takes forces 
 """
 
 import io
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fem.errors import InputError
-from fem.files import write_bytes
+from fem.files import load_arrays, write_bytes
 from fem.online.input_field import InputField
 
 FORMAT, FORMAT_2, FORMAT_1 = (f"unet-fem surrogate {number}" for number in (3, 2, 1))
@@ -75,7 +73,7 @@ def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
     """
     if not Path(path).is_file():
         raise InputError(f"no surrogate {path}; make it with python tools/quantize.py runs/<name>")
-    arrays = _arrays(path)
+    arrays = load_arrays(path, most=LARGEST)
     found = str(arrays.get("format", "unknown"))
     if found not in (FORMAT, FORMAT_2, FORMAT_1):
         raise InputError(
@@ -89,27 +87,6 @@ def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
             " make it again with python tools/quantize.py runs/<name>"
         )
     return arrays
-
-
-def _arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """The arrays behind the graph; none where there is no archive, or none that can be read."""
-    with open(path, "rb") as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                size = sum(member.file_size for member in archive.infolist())
-            if size > LARGEST:
-                raise InputError(
-                    f"{path} holds {size / 2**20:.0f} MiB of arrays, more than the"
-                    f" {LARGEST // 2**20} MiB of any surrogate; do not trust it"
-                )
-            file.seek(0)
-            # not np.load, which looks for the archive at the start of the file
-            with np.lib.npyio.NpzFile(file, allow_pickle=False) as arrays:
-                return {name: arrays[name] for name in arrays.files}
-        except InputError:
-            raise
-        except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, MemoryError):
-            return {}
 
 
 def _whole(arrays: dict[str, np.ndarray], with_nodes: bool) -> bool:
