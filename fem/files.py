@@ -43,7 +43,10 @@ def vet_output(path: str | Path, folder: bool = False) -> Path:
     Raises InputError for no name, a name that no file has, a folder in the place of a file or a
     file in the place of a folder, and where nothing may be written.
     """
-    path = Path(path)
+    try:
+        path = Path(path)
+    except TypeError:
+        raise InputError(f"{path!r} is no path to write to; give one such as out/name") from None
     name = path.name
     if not name and not (folder and path.is_dir()) or "\0" in str(path):
         raise InputError(f"'{path}' is no path to write to; give one such as out/name")
@@ -165,6 +168,14 @@ DAMAGES = (
 
 def _line(error: BaseException) -> str:
     return (" ".join(str(error).split()) or type(error).__name__)[:120]
+
+
+def vet_stem(path: str | Path, *suffixes: str) -> list[Path]:
+    """The files `path` with each of the suffixes, if they can be written; see `vet_output`."""
+    stem = Path(path)
+    if not stem.name:
+        vet_output(stem)
+    return [vet_output(stem.with_suffix(suffix)) for suffix in suffixes]
 
 
 def _unwritable(path: str | Path, error: OSError | UnicodeError) -> str:

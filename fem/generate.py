@@ -18,6 +18,7 @@ from fem.data.dataset import open_dataset
 from fem.data.scene import load_scene
 from fem.data.write import groups
 from fem.errors import InputError
+from fem.files import vet_output
 from fem.lazy import callable_module
 
 callable_module(__name__, generate)
@@ -30,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers {options.workers} must be at least 1")
     scene = load_scene(options.scene)
+    if options.out is not None:
+        vet_output(options.out)
     out = options.out or Path("data") / f"{Path(options.scene).stem}.h5"
     if out.is_file():
         raise InputError(f"{out} exists already; delete it to make it again, or give another --out")

@@ -1,4 +1,7 @@
-"""How much memory a step will need, said before it is taken."""
+"""How much memory or disk a step will need, said before it is taken."""
+
+import shutil
+from pathlib import Path
 
 import psutil
 
@@ -12,6 +15,20 @@ def require_memory(size: float, what: str, remedy: str = "lower it") -> None:
     if size > free:
         raise InputError(
             f"{what} needs about {_text(size)} of memory, and {_text(free)} are free; {remedy}"
+        )
+
+
+def require_disk(size: float, path: Path, what: str) -> None:
+    """Raises InputError where `what` needs more bytes than are free where `path` lies; size: an
+    estimate from below."""
+    place = path.absolute()
+    while not place.exists():
+        place = place.parent
+    free = shutil.disk_usage(place).free
+    if size > free:
+        raise InputError(
+            f"{what} need about {_text(size)} in {path.parent}, and {_text(free)} are free; make"
+            " room there or give another path"
         )
 
 

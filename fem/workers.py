@@ -70,6 +70,9 @@ def on_all_cores(
                 raise InputError(
                     f"a worker process died (out of memory?); {done}, with fewer workers"
                 ) from None
+            if isinstance(error, InputError) and keep and bar.n:
+                kept = f"{bar.n} of {bar.total} {unit}s are kept"
+                raise InputError(f"{error}; {kept}") from None
             if isinstance(error, KeyboardInterrupt):
                 raise KeyboardInterrupt(f"{done} to go on") from None
             raise

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fem.commands import command_line
 from fem.errors import InputError
-from fem.files import write_text
+from fem.files import vet_stem, write_text
 from unet_fem.deployment.exported import lite_files, model_file
 from unet_fem.training.run import open_run
 
@@ -46,6 +46,7 @@ def main(arguments=None):
             f"--rounds {options.rounds} and --threads {options.threads} must be at least 1"
             f" and --soak {options.soak} not negative"
         )
+    out = vet_stem(options.out, ".md", ".json") if options.out is not None else None
     runs = [open_run(folder) for folder in options.runs]
     for settings, _ in runs:
         model_file(settings)
@@ -61,13 +62,13 @@ def main(arguments=None):
     result = benchmark(runs, options.threads, options.rounds, options.soak)
     text = markdown(result)
     print(text)
-    if options.out:
+    if out:
         folders = " ".join(map(str, options.runs))
         command = (
             f"python tools/benchmark.py {folders}"
             f" --threads {options.threads} --rounds {options.rounds}"
         )
-        md, js = (options.out.with_suffix(suffix) for suffix in (".md", ".json"))
+        md, js = out
         write_text(md, f"# Latency\n\n`{command}`\n\n{text}\n")
         write_text(js, json.dumps(result, indent=1) + "\n")
         print(f"\nwrote {md} and .json")

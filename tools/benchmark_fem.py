@@ -27,8 +27,11 @@ def main(arguments=None):
 
     from threadpoolctl import threadpool_limits  # --help pays for no library
 
-    from fem.files import write_text
+    from fem.files import vet_output, write_text
     from fem.measure import quasistatic, speed
+
+    if options.out is not None:
+        vet_output(options.out)
 
     with threadpool_limits(1):
         result = (quasistatic if options.quasistatic else speed).measure(options.quick)

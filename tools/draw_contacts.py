@@ -12,7 +12,7 @@ import numpy as np
 from fem.commands import command_line
 from fem.data.draws import drawn_contacts
 from fem.data.scene import load_scene
-from fem.files import replacing
+from fem.files import replacing, vet_output
 from fem.mesh.hexmesh import HexMesh
 from fem.online.grid import MM, MN
 
@@ -30,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("scene", help="such as configs/tumour.toml")
     parser.add_argument("picture", type=Path, help="file to write, such as docs/contacts.png")
     options = parser.parse_args(arguments)
+    vet_output(options.picture)
     scene = load_scene(options.scene)
     from matplotlib.figure import Figure  # no refusal has to wait for it
 

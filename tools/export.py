@@ -12,6 +12,7 @@ from fem.commands import command_line
 from fem.data.dataset import open_dataset
 from fem.data.paraview import write_sequence
 from fem.data.scene import SPLITS
+from fem.files import vet_output
 
 
 @command_line
@@ -26,6 +27,7 @@ def main(arguments=None):
     )
     parser.add_argument("--split", choices=SPLITS, default="test", help="default: test")
     options = parser.parse_args(arguments)
+    vet_output(options.folder, folder=True)
     sequence = open_dataset(options.dataset).sequence(options.split, options.interaction)
     collection = write_sequence(
         options.folder,

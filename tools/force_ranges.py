@@ -64,14 +64,15 @@ def main(arguments=None):
         )
 
     from fem.data.scene import load_scene
-    from fem.files import write_text
+    from fem.files import vet_stem, write_text
     from fem.measure.force_ranges import measure
 
+    out = vet_stem(options.out, ".md", ".json") if options.out is not None else None
     scene = load_scene(options.scene)
     rows = measure(scene, options.factors, options.usual, options.hard)
     text = table(rows)
     print(text)
-    if options.out:
+    if out:
         low, high = (1e3 * force for force in scene.contact.force)
         radii = " to ".join(f"{1e3 * radius:g}" for radius in scene.contact.radius)
         first, last = scene.interactions.hard_force
@@ -84,9 +85,9 @@ def main(arguments=None):
             " relative L2 error of the best linear answer on the usual draws that it was fitted to,"
             " from the forces of the moment and from the forces as the tissue remembers them.\n\n"
         )
-        write_text(options.out.with_suffix(".md"), head + text + "\n")
-        write_text(options.out.with_suffix(".json"), json.dumps(rows, indent=1) + "\n")
-        print(f"wrote {options.out.with_suffix('.md')} and .json")
+        write_text(out[0], head + text + "\n")
+        write_text(out[1], json.dumps(rows, indent=1) + "\n")
+        print(f"wrote {out[0]} and .json")
 
 
 if __name__ == "__main__":

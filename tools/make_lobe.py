@@ -16,6 +16,7 @@ import numpy as np
 
 from fem.commands import command_line
 from fem.errors import InputError
+from fem.files import replacing, vet_output
 from fem.mesh.shapes import box
 
 CELLS = (12, 12, 6)
@@ -64,10 +65,11 @@ def main(arguments=None):
         default=Path("configs/lobe.vtu"),
         help="where to write (default: configs/lobe.vtu)",
     )
-    file = parser.parse_args(arguments).file
-    if not file.parent.is_dir():
-        raise InputError(f"there is no folder {file.parent} to write {file.name} to; make it first")
-    lobe().write(file)
+    file = vet_output(parser.parse_args(arguments).file)
+    if file.suffix != ".vtu":
+        raise InputError(f"{file} is no .vtu file; give a name that ends in .vtu")
+    with replacing(file) as partial:
+        lobe().write(partial)
     print(f"wrote {file}")
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from fem.cache import VARIABLE
 from fem.commands import command_line
 from fem.errors import InputError
+from fem.files import vet_output
 from unet_fem.study.runs import CommandFailed, deploy, make_long_data, train_networks
 from unet_fem.study.settings import load_study
 from unet_fem.study.stages import STAGES, run_stage, stage_file
@@ -39,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.environ[VARIABLE] = str(options.cache)  # for the commands that this one starts, too
     study = load_study(options.study or (QUICK if options.quick else STUDY))
     out = options.out or (study.folder if options.quick else Path("docs"))
+    vet_output(out, folder=True)
     try:
         if not (options.draw or options.untrained or options.only):
             train_networks(study)

@@ -30,8 +30,11 @@ def main(arguments=None):
 
     from threadpoolctl import threadpool_limits  # --help pays for no library
 
+    from fem.files import vet_output
     from fem.measure import limits
 
+    if not options.only:
+        vet_output(options.out, folder=True)
     with threadpool_limits(1):
         start, cells = time.perf_counter(), []
         to_come = limits.measure(options.quick, options.only)

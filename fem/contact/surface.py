@@ -9,6 +9,7 @@ import scipy.spatial
 from fem.errors import InputError
 from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
+from fem.ranges import shown
 
 
 class Surface:
@@ -43,6 +44,22 @@ class Surface:
         rim = scipy.spatial.cKDTree(mesh.points[mesh.contact_rim])
         self.clearance = rim.query(self.points)[0]  # (P,) m, inf without a rim
 
+    def check_footprints(self, smallest: float, largest: float) -> None:
+        """Raises InputError for footprints of these radii (m) that this surface cannot carry: lost
+        between its points, or larger than all of it. Mostly the mesh is in another unit."""
+        size, edge = float(np.ptp(self.points, axis=0).max()), float(np.sqrt(4 * self.area.mean()))
+        if smallest < edge / 4:
+            reason = f"a quarter of the mesh's {edge:.3g} m cells"
+        elif smallest > 2 * size:
+            reason = f"twice the whole surface of {size:.3g} m"
+        else:
+            return
+        order = "below" if smallest < edge / 4 else "above"
+        raise InputError(
+            f"contact.radius = [{smallest:g}, {largest:g}] m is {order} {reason}; is the mesh in"
+            " m? mesh.scale turns its unit into m"
+        )
+
     def footprint(self, centre: np.ndarray, radius: float) -> np.ndarray:
         """Share of a unit force that each node takes, (N,): consistent with the pressure (1 -
         r^2/R^2)^2, sum exactly 1.
@@ -56,6 +73,14 @@ class Surface:
         takes the whole force: so a centre nearer to the rim than the radius has its resultant moved
         inwards. Raises InputError if the circle holds no point of the surface.
         """
+        centre = np.asarray(centre)
+        if centre.shape != (3,) or not (
+            isinstance(radius, (int, float, np.number)) and 0 < radius < 1e6
+        ):
+            raise InputError(
+                f"a footprint of radius {radius!r} m at {shown(centre)}; give m above 0 and a point"
+                " (x, y, z)"
+            )
         offset = self.points - centre
         squared = np.einsum("pi,pi->p", offset, offset)
         near = self.normal @ self.normal[squared.argmin()] > -0.5
@@ -66,7 +91,7 @@ class Surface:
         pressure = near * (np.abs(height) < radius) * bump(np.square(distance / radius)) * self.area
         share = self.spread @ pressure
         total = share.sum()
-        if total == 0:
+        if not total > 0:  # also at a centre that is not finite
             raise InputError(
                 f"a footprint of radius {radius:g} m at {np.array2string(centre, precision=4)} m"
                 " misses the free surface; widen contact.radius"

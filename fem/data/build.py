@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from fem.cache import digest
-from fem.contact.table import table_contacts
+from fem.contact.surface import surface_of
+from fem.contact.table import TABLE, table_contacts
 from fem.data.confirm import Confirmation, check_confirmed, confirmed, sampled
 from fem.data.interaction import healthy_interaction
 from fem.data.scene import Scene
 from fem.data.write import write_dataset
 from fem.errors import InputError
-from fem.files import make_folder, save_arrays, write_text
+from fem.files import load_arrays, make_folder, read_json, save_arrays, vet_output, write_text
 from fem.locks import lock
+from fem.memory import require_disk, require_memory
 from fem.mesh.hexmesh import HexMesh
 from fem.workers import on_all_cores
 
@@ -37,12 +39,12 @@ def generate(
     fem.data.confirm. Raises InputError where another process writes to `path`, no draw is fit, or
     the sample is too far from the true mass.
     """
-    path, mesh = Path(path), scene.mesh.build()
+    path, mesh = vet_output(path), scene.mesh.build()
     # a scene that cannot start fails here, not in a worker
     scene.build_solver(mesh)
     scene.mesh.embed(mesh)
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; give the path of a file")
+    surface_of(mesh).check_footprints(*scene.contact.radius)
+    require_memory(_bytes(scene, mesh), f"an interaction of frames.count = {scene.frames.count}")
     with lock(path):
         folder, run = _waiting(path, scene, mesh), (path.name, workers, executor)
         parts = _simulated(scene, mesh, folder, *run)
@@ -64,9 +66,10 @@ def _simulated(
 ) -> dict[tuple[str, int], Path]:
     """The files of all interactions (split, number) in `folder`; those that are not there are
     simulated."""
-    make_folder(folder)
     paths = {which: folder / "{}-{:04d}.npz".format(*which) for which in scene.interactions.all()}
-    todo = [which for which, path in paths.items() if not path.is_file()]
+    todo = [which for which, path in paths.items() if not _waits(path, scene, mesh)]
+    require_disk(len(todo) * _bytes(scene, mesh), folder, f"{len(todo)} interactions")
+    make_folder(folder)
     on_all_cores(
         healthy_interaction,
         [(scene, mesh, *which) for which in todo],
@@ -93,7 +96,7 @@ def _confirmed(
     paths = {which: folder / "true-mass-{}-{:04d}.json".format(*which) for which in sampled(scene)}
     todo = []
     for which, path in paths.items():
-        if not path.is_file():
+        if not _confirmation(path):
             part = _read(parts[which])
             contacts = table_contacts(part["contacts"])
             todo.append((scene, mesh, *which, contacts, part["displacement"]))
@@ -108,7 +111,43 @@ def _confirmed(
             unit="interaction",
             before=len(paths) - len(todo),
         )
-    return [Confirmation(*json.loads(path.read_text())) for path in paths.values()]
+    found = map(_confirmation, paths.values())
+    return [one for one in found if one]
+
+
+def _confirmation(path):
+    """The Confirmation that waits in `path`, or None where there is none, or none that is whole."""
+    try:
+        found = read_json(path, list) if path.is_file() else []
+        split, number, error = found
+    except (InputError, ValueError):
+        return None
+    whole = isinstance(split, str) and isinstance(number, int) and isinstance(error, float)
+    return Confirmation(split, number, error) if whole else None
+
+
+def _bytes(scene, mesh):
+    """Of the fields of one interaction, as it waits."""
+    return 24 * scene.frames.count * mesh.n_nodes
+
+
+def _arrays(path):
+    return load_arrays(path, most=2 * path.stat().st_size + 2**20)  # they are not compressed
+
+
+def _waits(path, scene, mesh):
+    """Whether a whole interaction waits in `path`; one that is damaged is simulated again."""
+    if not path.is_file():
+        return False
+    part = _arrays(path)
+    fields = scene.frames.count, mesh.n_nodes, 3
+    return (
+        {"force", "displacement", "volume", "energy", "contacts", "rejected"} <= part.keys()
+        and part["force"].shape == part["displacement"].shape == fields
+        and part["volume"].shape == fields[:1]
+        and part["contacts"].dtype == TABLE
+        and all(np.isfinite(part[name]).all() for name in ("force", "displacement", "volume"))
+    )
 
 
 def _write(path: Path, result: dict) -> None:
@@ -116,10 +155,10 @@ def _write(path: Path, result: dict) -> None:
 
 
 def _read(path: Path) -> dict:
-    with np.load(path) as part:
-        return {name: part[name] for name in part.files if name != "rejected"} | {
-            "rejected": json.loads(str(part["rejected"]))
-        }
+    part = _arrays(path)
+    if "rejected" not in part:
+        raise InputError(f"{path} was damaged while it waited; run the same command again")
+    return part | {"rejected": json.loads(str(part["rejected"]))}
 
 
 def _waiting(path: Path, scene: Scene, mesh: HexMesh) -> Path:

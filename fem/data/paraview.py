@@ -10,10 +10,11 @@ import meshio
 import numpy as np
 
 from fem.errors import InputError
-from fem.files import write_text
+from fem.files import make_folder, plain_name, replacing, vet_output, write_text
 from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
 from fem.online.grid import MM
+from fem.ranges import shown
 
 
 def write_sequence(
@@ -35,25 +36,28 @@ def write_sequence(
     Returns the path of the PVD, which is written last. Raises InputError if `folder` cannot be
     made, and for a field of another shape.
     """
-    folder = Path(folder)
+    folder = vet_output(folder, folder=True)
+    plain_name(name, "name")
+    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+        raise InputError(f"the times {shown(np.asarray(time))} s must be finite and ascend")
     for field, values in fields.items():
         if np.shape(values) != (len(time), mesh.n_nodes, 3):
             raise InputError(
                 f"the field '{field}' has shape {np.shape(values)}; {len(time)} frames of"
                 f" {mesh.n_nodes} nodes need {(len(time), mesh.n_nodes, 3)}"
             )
-    try:
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot make the folder {folder / name} ({error.strerror}); give another place to"
-            " write to"
-        ) from None
+        if not np.isfinite(values).all():
+            raise InputError(f"the field '{field}' has values that are not finite")
+    for column, values in (energy or {}).items():
+        if np.shape(values) != np.shape(time):
+            raise InputError(f"the energy '{column}' has not one value for each of the times")
+    make_folder(folder / name)
     entries = []
     for frame, moment in enumerate(time):
         file = f"{name}/frame_{frame:04d}.vtu"
         at = {field: np.asarray(values[frame], float) for field, values in fields.items()}
-        _frame(mesh, at).write(folder / file)
+        with replacing(folder / file) as partial:
+            _frame(mesh, at).write(partial)
         entries.append(f'    <DataSet timestep="{moment:.9g}" part="0" file="{file}"/>')
     if energy:
         write_text(folder / f"{name}-energy.csv", _table(time, energy))

@@ -138,7 +138,7 @@ def test_an_older_dataset_without_energies_is_exported_too(dataset, tmp_path, ca
         (["{data}", "{out}", "--interaction", "3"], ["no test interaction 3", "test 1 to 2"]),
         (["{data}", "{out}", "--interaction", "0"], ["no test interaction 0"]),
         (["nowhere.h5", "{out}"], ["no dataset nowhere.h5"]),
-        (["{data}", "{file}"], ["cannot make the folder", "give another place"]),
+        (["{data}", "{file}"], ["cannot be written", "give another path"]),
     ],
 )
 def test_wrong_arguments_are_one_line_with_the_remedy(dataset, tmp_path, capsys, words, named):
