@@ -24,7 +24,7 @@ class Network:
     name: str
     config: str
     changes: tuple[str, ...] = ()
-    tries: int = 1
+    tries: int = number(1, 1_000_000, default=1)
 
     @property
     def settings(self) -> Settings:
@@ -60,9 +60,9 @@ class Answer:
     file: str = ""
     stepper: str = ""
     options: dict = field(default_factory=dict)
-    interactions: int = 0
+    interactions: int = number(0, 1_000_000_000, default=0)
     hard: bool = False
-    tries: int = 1
+    tries: int = number(1, 1_000_000, default=1)
 
     def __post_init__(self) -> None:
         if bool(self.file) == bool(self.stepper):

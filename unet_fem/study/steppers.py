@@ -19,16 +19,19 @@ from unet_fem.deployment.forms import CALL, graph_stepper
 from unet_fem.networks import ridge
 from unet_fem.networks.files import load_model
 from unet_fem.networks.pod import linear, reduced, truncated
-from unet_fem.networks.registry import network
+from unet_fem.networks.registry import Linear, Pod, network
 from unet_fem.networks.stepper import KerasStepper
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.steppers import open_stepper
 from unet_fem.steppers import stepper as build_stepper
 from unet_fem.study.runs import KERAS
 from unet_fem.study.settings import LINEAR, Answer, Study
-from unet_fem.training.samples import load_samples
-from unet_fem.training.settings import Settings
+from unet_fem.training.inputs import input_field
+from unet_fem.training.regressions import fit_regression
+from unet_fem.training.samples import load_samples, training_samples
+from unet_fem.training.settings import InputChoice, Settings
 
+REMEMBERED = ", remembered force"
 FACTS = (  # of a competitor, for results
     *("kind", "family", "run", "parent", "form", "frames"),
     *("interactions", "hard_in_training", "tries", "frame"),
@@ -168,7 +171,7 @@ def linear_regressions(dataset: Dataset, windows: Iterable[int | None]) -> dict[
 
 def regressions(study: Study, dataset: Dataset) -> dict[str, Competitor]:
     """{name: Competitor}: linear for every window of the study's networks, POD on the one best in
-    validation."""
+    validation, and both on the force as creeping tissue remembers it."""
     found, least = {}, np.inf
     for frames in sorted({own.settings.model.window or 1 for own in study.networks}):
         full, train, validation = _fitted(dataset, frames)
@@ -183,7 +186,29 @@ def regressions(study: Study, dataset: Dataset) -> dict[str, Competitor]:
             if model.modes is not None and modes <= len(model.modes):
                 name = f"{model.family}, {modes} modes"
                 found[name] = _regression(truncated(model, modes), frames, trained_on(dataset))
-    return found
+    return found | remembering(study, dataset)
+
+
+def remembering(study: Study, dataset: Dataset) -> dict[str, Competitor]:
+    """{name: Competitor} of regressions on remembered forces; none where nothing creeps."""
+    field = input_field(InputChoice("creep"), dataset)
+    if field is None:
+        return {}
+    samples = training_samples(dataset, None, field)
+    full, pod = (
+        fit_regression(dataset, options, samples, field)
+        for options in (Linear(), Pod(modes=max(study.pod_modes)))
+    )
+    models = {f"{LINEAR}{REMEMBERED}": full}
+    for modes in study.pod_modes:
+        if pod.modes is not None and modes <= len(pod.modes):
+            models[f"{pod.family}, {modes} modes{REMEMBERED}"] = truncated(pod, modes)
+    return {
+        name: replace(
+            _regression(model, 1, trained_on(dataset)), family=f"{model.family}{REMEMBERED}"
+        )
+        for name, model in models.items()
+    }
 
 
 def _fitted(dataset, frames):

@@ -1,6 +1,7 @@
 """Errors of the competitors, their intervals, the regressions and the paper's figures, on 4 x 4 x 2
 cells and made-up numbers."""
 
+import dataclasses
 import json
 from functools import partial
 from types import SimpleNamespace
@@ -23,7 +24,7 @@ from unet_fem.study.measure.judged import judged, unseen_cases, unseen_samples
 from unet_fem.study.report import bars, sections
 from unet_fem.study.runs import KERAS
 from unet_fem.study.settings import Fem
-from unet_fem.study.steppers import Competitor, networks
+from unet_fem.study.steppers import Competitor, followed, networks, remembering
 from unet_fem.training.depth import by_depth
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import InputChoice
@@ -112,6 +113,23 @@ def test_a_regression_as_a_stepper_answers_as_on_whole_windows(linear_case):
         np.testing.assert_allclose(
             answers(own.make(), forces[None]), predict(model, windows), atol=1e-6
         )
+
+
+def test_a_remembering_regression_answers_a_held_force_with_more_and_more(unseen_dataset):
+    dataset = open_dataset(unseen_dataset)
+    found = remembering(SimpleNamespace(pod_modes=(2, 900)), dataset)
+    assert list(found) == [
+        "linear regression, remembered force",
+        "POD + quadratic, 2 modes, remembered force",
+    ]
+    own = found["linear regression, remembered force"]
+    assert (own.family, own.interactions) == ("linear, remembered force", 2)
+    force = dataset.read("train", ("force",))["force"][0, -1:]
+    answer = followed(own.make(), np.repeat(force, 5, axis=0), 0.2)
+    assert (np.diff(np.square(answer).sum(axis=(1, 2, 3, 4))) > 0).all()
+    scene = dataclasses.replace(dataset.scene, material=dataset.scene.material.elastic())
+    elastic = dataclasses.replace(dataset, scene=scene)
+    assert remembering(SimpleNamespace(pod_modes=(2,)), elastic) == {}
 
 
 def test_frame_by_frame_is_the_batched_prediction(tiny_dataset, tmp_path):
