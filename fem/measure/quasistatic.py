@@ -110,10 +110,13 @@ def measure(quick: bool = False) -> Figures:
             for split in splits
             for number in numbers
         ],
+        "frames of 2.5 s": [
+            pair(usual, split, number, LONG, False) for split in splits for number in numbers
+        ],
         "frames of 2.5 s, 30 s": [pair(long, "test", number, LONG, False) for number in numbers],
         "rise": rise_table(RISES[:2] if quick else RISES),
     }
-    for title in ("frames of 0.25 s", "frames of 2.5 s, 30 s", "rise"):
+    for title in ("frames of 0.25 s", "frames of 2.5 s", "frames of 2.5 s, 30 s", "rise"):
         print(f"\n## {title}\n")
         print_table(result[title])
     return result
