@@ -36,6 +36,7 @@ def random_model(sides, prony=PRONY, per_point=False):
             encoder=draw(0.3, R, 3 * FORCED),
             decoder=draw(0.3, 3 * 12, R),
             flexibility=np.eye(R, dtype="float32"),
+            missing=draw(0.1, 3, 3 * FORCED),
         )
         for R, n in list(zip(SIZES, SEEN, strict=True))[:sides]
     ]
