@@ -38,7 +38,9 @@ STEPPERS = {
         ".keras",
         "unet_fem.networks.stepper:KerasStepper.open",
     ),
-    "litert": Kind("LiteRT", "unet_fem.runtime:Surrogate", ".tflite", "unet_fem.runtime:Surrogate"),
+    "litert": Kind(
+        "LiteRT", "unet_fem.runtime:Surrogate", ".tflite", "unet_fem.runtime:open_surrogate"
+    ),
     "regression": Kind(
         "regression",
         "fem.online.regression:RegressionStepper",

@@ -132,4 +132,12 @@ class Fields:
             np.add(even, odd, out=values[: len(even)])
             np.subtract(even, odd, out=right)
             right *= self._sign
-        return values.take(self._layouts[shape][2]).reshape(shape)
+        return self._placed(shape)
+
+    def placed(self, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """A field of this shape from the values (sides 3 h,) at the free nodes, left ones first."""
+        self._values[:-1] = values
+        return self._placed(shape)
+
+    def _placed(self, shape):
+        return self._values.take(self._layouts[shape][2]).reshape(shape)

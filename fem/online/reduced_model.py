@@ -120,8 +120,8 @@ class ReducedModel:
                     f" {given[:8]}); {REMEDY}"
                 )
 
-    def save(self, path: Path | str) -> None:
-        """Write it to `path` (.npz), at once or not at all."""
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What a file of it holds, by name, little-endian and in C order."""
         arrays: dict[str, Any] = {"force": self.force, "free": self.free, "prony": self.prony}
         if self.grid is not None:
             arrays |= {"grid_shape": np.array(self.grid.shape), "grid_index": self.grid.index}
@@ -131,20 +131,14 @@ class ReducedModel:
         little = {
             name: np.ascontiguousarray(a, a.dtype.newbyteorder("<")) for name, a in arrays.items()
         }
-        text = np.frombuffer(meta, np.uint8)
-        save_arrays(path, format=FORMAT, meta=text, **little)
+        return little | {"meta": np.frombuffer(meta, np.uint8)}
 
     @classmethod
-    def load(cls, path: Path | str) -> "ReducedModel":
-        """That of the file at `path`. Raises InputError for a file that is missing, damaged or
-        another's."""
-        if not Path(path).is_file():
-            raise InputError(f"no reduced model {path}; {REMEDY}")
-        arrays = load_arrays(path)
-        if str(arrays.pop("format", None)) != FORMAT:
-            raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
+    def of(cls, arrays: dict[str, np.ndarray], path: Path | str) -> "ReducedModel":
+        """That of `arrays`, among which others may be; path: for messages. Raises InputError where
+        one is missing or damaged."""
         try:
-            meta = json.loads(arrays.pop("meta").tobytes().decode())
+            meta = json.loads(arrays["meta"].tobytes().decode())
             axis = meta.pop("axis")
             count = 1 if axis is None else 2
             blocks = tuple(Block(*(arrays[f"{name}{b}"] for name in BLOCK)) for b in range(count))
@@ -157,6 +151,21 @@ class ReducedModel:
             raise InputError(f"{path}: {error}") from None
         except (KeyError, ValueError, AttributeError, TypeError, IndexError) as error:
             raise InputError(f"{path} is damaged ({error!r}); {REMEDY}") from None
+
+    def save(self, path: Path | str) -> None:
+        """Write it to `path` (.npz), at once or not at all."""
+        save_arrays(path, format=FORMAT, **self.arrays())
+
+    @classmethod
+    def load(cls, path: Path | str) -> "ReducedModel":
+        """That of the file at `path`. Raises InputError for a file that is missing, damaged or
+        another's."""
+        if not Path(path).is_file():
+            raise InputError(f"no reduced model {path}; {REMEDY}")
+        arrays = load_arrays(path)
+        if str(arrays.pop("format", None)) != FORMAT:
+            raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
+        return cls.of(arrays, path)
 
 
 def _check(name, values, shape, kinds):

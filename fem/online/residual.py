@@ -104,6 +104,10 @@ class Residual:
         r -= y
         return r
 
+    def viscous(self, points: np.ndarray) -> np.ndarray:
+        """Q (3, 3, k) of this frame at some of the points."""
+        return self._Q[:, :, points]
+
     def accept(self, a: np.ndarray) -> None:
         """The frame ends at a; its stress is that of the last call."""
         if not self._viscous:

@@ -1,0 +1,180 @@
+"""The constitutive network in NumPy alone: a reduced model with a learned start and step.
+
+    a = l + s (a_old - l_old)              start
+    a = a + z,  z + B z = r(a)             one evaluation
+    B z = - N [T(H + A z) - T(H) - C A z]  at the first few points
+
+r is the residual of fem.online.reduced. B is how the stiffness has changed since rest, seen at a
+few of the points, where the stress T, divided by c, is asked for once more; the step is Newton's,
+solved by KRYLOV generalized conjugate residuals. Symbols, blocks and sides are those of
+fem.online.reduced, in whose file s and N stand beside the arrays of the reduced model:
+
+    gain (R,)              s
+    N<b> (R_b, 9 k)        of the stresses of k points a side, left and right folded as T is
+    effort (2,)            a frame whose last step is longer than effort[0] |a| gets another
+                           evaluation, up to effort[1] of them
+
+unet_fem.networks.constitutive trains them. The stepper that knows nothing of them opens the file as
+well.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from fem.errors import InputError
+from fem.files import load_arrays, save_arrays
+from fem.material.base import Hyperelastic, bulk_modulus
+from fem.material.neo_hooke import NeoHooke
+from fem.online.point_law import NeoHookePoints
+from fem.online.reduced import ReducedStepper
+from fem.online.reduced_model import FORMAT, ReducedModel
+
+KRYLOV = 3  # conjugate residuals a step
+TRUST = 0.5  # a step is at most TRUST (|a| + 1 mm) long
+REMEDY = "train one with python -m unet_fem.train configs/constitutive.toml"
+
+
+def bulk_of(law: Hyperelastic) -> np.ndarray:
+    """K / mu of the points, () or (m,). Raises InputError for another law than the neo-Hookean."""
+    if not isinstance(law, NeoHooke):
+        raise InputError(
+            f"the constitutive network holds the neo-Hookean law, not {type(law).__name__};"
+            " step the reduced model itself"
+        )
+    shared = np.ndim(law.mu) and not np.ndim(law.nu)
+    return np.asarray(bulk_modulus(1.0, law.nu) if shared else law.K / law.mu, np.float32)
+
+
+class ConstitutiveStepper(ReducedStepper):
+    """A ReducedModel with a learned step as a Stepper for frames of any length.
+
+    learned: {"gain", "N0", ..., "effort"}; effort: in place of the learned one; (1, 1) is always
+    one evaluation. After a step `unrest` is |last step| / |a|; see ReducedStepper for the rest.
+    """
+
+    def __init__(
+        self,
+        model: ReducedModel,
+        learned: dict[str, np.ndarray],
+        interval: float | None = None,
+        effort: tuple[float, int] | None = None,
+    ) -> None:
+        share, most = learned["effort"] if effort is None else effort
+        super().__init__(model, interval)
+        if not (0 < share <= 1 and most >= 1):
+            raise InputError(f"effort = ({share}, {most}) must be a share up to 1 and at least 1")
+        self.share, self.most = float(share), int(most)
+        self.gain = learned["gain"]
+        self.N = [learned[f"N{b}"] for b in range(len(model.blocks))]
+        k, h = self.N[0].shape[1] // 9, model.points // len(model.blocks)
+        first = np.concatenate([side * h + np.arange(k) for side in range(len(self.N))])
+        self._bulk = bulk_of(model.law)
+        if self._bulk.ndim:
+            self._bulk = self._bulk[first]
+        self._first = first
+        law = model.law.of_cells(first, model.points)
+        self._law = NeoHookePoints(law, len(first))  # type: ignore[arg-type]
+        self._A = [b.A.reshape(9, h, -1)[:, :k].reshape(9 * k, -1) for b in model.blocks]
+        self._change = np.empty((3, 3, len(first)), np.float32)
+
+    @classmethod
+    def open(
+        cls,
+        path: Path | str,
+        interval: float | None = None,
+        effort: tuple[float, int] | None = None,
+    ) -> "ConstitutiveStepper":
+        """That of the file at `path`. Raises InputError for another file."""
+        return cls(*load_constitutive(path), interval, effort)
+
+    def _solve(self, a):
+        """The coordinates after one evaluation, or a few."""
+        a = a + (self.gain - 1) * self._correction
+        self.evaluations, size, length = 0, 0.0, 1.0
+        while self.evaluations < self.most and length > self.share * size:
+            step = limited(self._step(self.residual(a), a), a)
+            a = a + step
+            size, length = float(np.linalg.norm(a)), float(np.linalg.norm(step))
+            self.evaluations += 1
+        self.unrest = length / (size + 1e-3)
+        return a
+
+    def _step(self, r, a):
+        """Newton's step z + B z = r from a, where the residual r was last asked for."""
+        step, rest, done = np.zeros_like(r), r, []
+        for _ in range(KRYLOV):
+            z = limited(rest, a)  # the law is not defined at what a runaway r gives
+            q = z - self._coarse_residual(z)
+            for y, p, square in done:
+                share = (q @ p) / square
+                z, q = z - share * y, q - share * p
+            square = q @ q + np.float32(1e-12)
+            share = (rest @ q) / square
+            step, rest = step + share * z, rest - share * q
+            done.append((z, q, square))
+        return step + rest
+
+    def _coarse_residual(self, r):
+        """What a step r adds to the residual beside - r."""
+        residual, first = self.residual, self._first
+        parts = [
+            (A @ r[p.start : p.start + A.shape[1]]).reshape(3, 3, -1)
+            for A, p in zip(self._A, residual.parts, strict=True)
+        ]
+        D = np.concatenate([parts[0] + parts[1], parts[0] - parts[1]], 2) if parts[1:] else parts[0]
+        H, T = residual.law.H[:, :, first], self._change
+        np.add(H, D, out=self._law.H)
+        self._law(1.0, None, T)
+        T -= residual.law.P[:, :, first]
+        T -= D
+        T -= D.swapaxes(0, 1)
+        T.reshape(9, -1)[::4] -= self._bulk * np.trace(D)
+        if residual.prony:
+            Q = residual.viscous(first) / np.float32(residual.c)
+            T -= np.einsum("ikm,kjm->ijm", D, Q)
+        k = len(first) // len(parts)
+        left, right = T[:, :, :k], T[:, :, k:]
+        folded = [left + right, left - right] if parts[1:] else [T]
+        return np.concatenate([N @ F.ravel() for N, F in zip(self.N, folded, strict=True)])
+
+
+def limited(step: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """`step` (R,), scaled back where it is longer than TRUST (|a| + 1 mm)."""
+    length = float(np.linalg.norm(step))
+    most = TRUST * (float(np.linalg.norm(a)) + 1)
+    return step if length <= most else step * np.float32(most / length)
+
+
+def save_constitutive(
+    path: Path | str, model: ReducedModel, learned: dict[str, np.ndarray]
+) -> None:
+    """Write a model and {"gain", "N0", ..., "effort"} to `path` (.npz), at once or not at all."""
+    save_arrays(path, format=FORMAT, **model.arrays(), **learned)
+
+
+def load_constitutive(path: Path | str) -> tuple[ReducedModel, dict[str, np.ndarray]]:
+    """What `save_constitutive` wrote. Raises InputError for another file."""
+    model, arrays = ReducedModel.load(path), load_arrays(path)
+    return model, learned_of(model, arrays, path)
+
+
+def learned_of(
+    model: ReducedModel, arrays: dict[str, np.ndarray], path: Path | str
+) -> dict[str, np.ndarray]:
+    """The learned ones of `arrays`. Raises InputError where they are missing or do not fit."""
+    names = ["gain", "effort", *(f"N{b}" for b in range(len(model.blocks)))]
+    missing = [name for name in names if name not in arrays]
+    if missing:
+        raise InputError(f"{path} holds no {missing[0]}: no network was trained on it; {REMEDY}")
+    learned = {name: arrays[name] for name in names}
+    columns = learned["N0"].shape[-1]
+    shapes: dict[str, tuple] = {"gain": (model.modes,), "effort": (2,)}
+    shapes |= {f"N{b}": (len(block.M), columns) for b, block in enumerate(model.blocks)}
+    for name, shape in shapes.items():
+        found = learned[name]
+        if found.shape != shape or found.dtype.kind != "f" or not np.isfinite(found).all():
+            raise InputError(f"{path}: {name} must be finite and of shape {shape}; {REMEDY}")
+    if columns % 9 or columns > len(model.blocks[0].A):
+        raise InputError(f"{path}: N0 has {columns} columns, which are no 9 a point; {REMEDY}")
+    return learned

@@ -1,0 +1,203 @@
+"""The constitutive network in its three forms: Keras, NumPy alone, and a LiteRT graph."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ai_edge_litert.interpreter import Interpreter
+
+from fem.errors import InputError
+from fem.online.constitutive import ConstitutiveStepper, load_constitutive, save_constitutive
+from fem.online.reduced import ReducedStepper
+from fem.online.reduced_model import Block, ReducedModel
+from fem.online.stepper import Stepper
+from unet_fem.deployment.constitutive_graph import export_constitutive
+from unet_fem.networks.constitutive import ConstitutiveCell, Rates
+from unet_fem.runtime.constitutive import ConstitutiveSurrogate, write_constitutive
+from unet_fem.runtime.rates import rates
+from unet_fem.steppers import open_stepper
+
+PRONY = ((0.12, 330.0), (0.8, 11.0))
+SIZES, SEEN, POINTS, COARSE, NODES, FORCED = (7, 5), (5, 4), 12, 4, 30, 9
+INTERVALS = (0.25, 0.25, 0.01, 1.0, 0.25)  # s
+
+
+def random_model(sides, prony=PRONY, per_point=False):
+    """A ReducedModel of random arrays, whose step is a contraction."""
+    rng = np.random.default_rng(3)
+
+    def draw(scale, *shape):
+        return (scale * rng.standard_normal(shape)).astype("float32")
+
+    blocks = [
+        Block(
+            A=draw(0.05, 9 * POINTS, n),
+            M=draw(0.01, R, 9 * POINTS + n),
+            encoder=draw(0.3, R, 3 * FORCED),
+            decoder=draw(0.3, 3 * 12, R),
+            flexibility=np.eye(R, dtype="float32"),
+            missing=draw(0.1, 3, 3 * FORCED),
+        )
+        for R, n in list(zip(SIZES, SEEN, strict=True))[:sides]
+    ]
+    mu = np.linspace(300, 500, sides * POINTS).tolist() if per_point else 400.0
+    nu = np.linspace(0.3, 0.45, sides * POINTS).tolist() if per_point else 0.42
+    law = {"kind": "neo_hooke", "mu": mu, "nu": nu, "density": 1000.0, "prony": list(prony)}
+    nodes = rng.permutation(NODES)
+    return ReducedModel(
+        tuple(blocks),
+        force=nodes[: sides * FORCED].reshape(sides, -1).astype("int32"),
+        free=nodes[: sides * 12].reshape(sides, -1).astype("int32"),
+        prony=np.array(prony, float).reshape(-1, 2),
+        axis=0 if sides == 2 else None,
+        grid=None,
+        meta={"mesh": "m", "material": "t", "law": law, "nodes": NODES, "interval": 0.25},
+    )
+
+
+def make(folder, **options):
+    """(cell, model, {"npz": path, "tflite": path}) of a random network."""
+    model, rng = random_model(**options), np.random.default_rng(4)
+    cell = ConstitutiveCell.of(model, COARSE)
+    learned = {
+        name: (value + 0.03 * rng.standard_normal(value.shape)).astype("float32")
+        for name, value in cell.learned.items()
+    }
+    cell.learn(learned)
+    learned["effort"] = np.array([1.0, 1.0])
+    files = {kind: Path(folder, f"net.{kind}") for kind in ("npz", "tflite")}
+    save_constitutive(files["npz"], model, learned)
+    graph = export_constitutive(cell, model)
+    write_constitutive(files["tflite"], graph, model.arrays() | learned)
+    return cell, model, files
+
+
+@pytest.fixture(scope="module", params=["mirrored", "one side", "elastic", "tissue by points"])
+def network(request, tmp_path_factory):
+    options = {
+        "mirrored": {"sides": 2},
+        "one side": {"sides": 1},
+        "elastic": {"sides": 2, "prony": ()},
+        "tissue by points": {"sides": 2, "per_point": True},
+    }[request.param]
+    return make(tmp_path_factory.mktemp("network"), **options)
+
+
+@pytest.fixture(scope="module")
+def mirrored(tmp_path_factory):
+    return make(tmp_path_factory.mktemp("network"), sides=2)
+
+
+def forces(count=5, size=0.3):
+    """(count, N, 3) mN that grow."""
+    rng = np.random.default_rng(5)
+    return (np.linspace(0.2, 1, count) * size)[:, None, None] * rng.standard_normal((NODES, 3))
+
+
+def coordinates(stepper):
+    """(frames, R) of a stepper on the forces."""
+    return np.array([(stepper.step(f, dt), stepper.a.copy())[1] for f, dt in frames()])
+
+
+def frames():
+    return list(zip(forces(), INTERVALS, strict=True))
+
+
+@pytest.mark.parametrize("effort", [(1.0, 1), (1e-9, 3)])
+def test_the_graph_the_cell_and_numpy_alone_answer_alike(network, effort):
+    cell, model, files = network
+    steppers = [
+        ConstitutiveStepper.open(files["npz"], effort=effort),
+        ConstitutiveSurrogate(files["tflite"], effort=effort),
+    ]
+    alone, graph = map(coordinates, steppers)
+    prony = tuple(map(tuple, model.prony))
+    memory, answers = cell.rest(1, len(prony), len(prony)), []
+    for force, dt in frames():
+        g = steppers[0].fields.encode(force)[1][None].copy()
+        rate = Rates(*rates(prony, dt))
+        a, memory, _ = cell(g, memory, rate, evaluations=effort[1])
+        answers.append(np.asarray(a)[0])
+    size = np.abs(alone).max()
+    assert size > 0.05
+    np.testing.assert_allclose(graph, alone, atol=1e-5 * size)
+    np.testing.assert_allclose(answers, alone, atol=1e-5 * size)
+    for force, dt in frames():
+        u, v = (stepper.step(force, dt) for stepper in steppers)
+    np.testing.assert_allclose(u, v, atol=1e-5 * np.abs(u).max())
+
+
+def test_without_a_learned_step_it_is_one_evaluation_of_the_reduced_solver(tmp_path):
+    model = random_model(2)
+    cell = ConstitutiveCell.of(model, COARSE)
+    path = tmp_path / "net.tflite"
+    learned = cell.learned | {"effort": np.array([1.0, 1.0])}
+    write_constitutive(path, export_constitutive(cell, model), model.arrays() | learned)
+    found = coordinates(ConstitutiveSurrogate(path))
+    wanted = coordinates(ReducedStepper(model, most=1))
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_further_evaluations_lead_to_the_equilibrium_of_the_reduced_solver(mirrored):
+    _, model, files = mirrored
+    wanted = coordinates(ReducedStepper(model, tolerance=1e-6, most=60))
+    distances = []
+    for most in (1, 2, 8):
+        found = coordinates(ConstitutiveSurrogate(files["tflite"], effort=(1e-7, most)))
+        distances.append(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+    assert distances[2] < 1e-4 < distances[1] < distances[0]
+
+
+def test_one_evaluation_more_where_the_step_was_long(mirrored):
+    surrogate = ConstitutiveSurrogate(mirrored[2]["tflite"], 0.25, effort=(0.05, 4))
+    quiet, wild = forces(1, 0.01)[0], forces(1, 3.0)[0]
+    counts = []
+    for force in (quiet, quiet, wild):
+        surrogate.step(force)
+        counts.append(surrogate.evaluations)
+    assert counts[1] == 1 < counts[2] <= 4
+
+
+def test_it_is_a_stepper_that_goes_back_to_any_moment(mirrored):
+    surrogate = open_stepper(mirrored[2]["tflite"], interval=0.25)
+    assert isinstance(surrogate, ConstitutiveSurrogate) and isinstance(surrogate, Stepper)
+    assert isinstance(open_stepper(mirrored[2]["npz"]), ReducedStepper)
+    before, after = forces()[:2]
+    surrogate.step(before)
+    state = surrogate.state()
+    first = surrogate.step(after)
+    surrogate.step(before, 0.01)
+    surrogate.restore(state)
+    np.testing.assert_array_equal(surrogate.step(after), first)
+    surrogate.reset()
+    assert not surrogate.step(0 * after).any()
+
+
+@pytest.mark.parametrize("bad", ["shape", "NaN", "dt"])
+def test_bad_input_is_refused_and_leaves_the_state(mirrored, bad):
+    surrogate = ConstitutiveSurrogate(mirrored[2]["tflite"], 0.25)
+    force = forces()[0]
+    surrogate.step(force)
+    state = surrogate.state()
+    wrong = {"shape": force[1:], "NaN": force * np.nan, "dt": force}[bad]
+    with pytest.raises(InputError):
+        surrogate.step(wrong, -1.0 if bad == "dt" else None)
+    assert all(np.array_equal(state[name], values) for name, values in surrogate.state().items())
+
+
+def test_files_of_others_are_refused_by_name(mirrored, tmp_path):
+    _, model, files = mirrored
+    with pytest.raises(InputError, match="no surrogate"):
+        ConstitutiveSurrogate(tmp_path / "none.tflite")
+    (tmp_path / "other.tflite").write_bytes(files["tflite"].read_bytes()[:1000])
+    with pytest.raises(InputError, match="not a whole"):
+        ConstitutiveSurrogate(tmp_path / "other.tflite")
+    model.save(tmp_path / "plain.npz")
+    with pytest.raises(InputError, match="no network was trained"):
+        load_constitutive(tmp_path / "plain.npz")
+
+
+def test_inputs_and_outputs_go_by_their_names(mirrored):
+    interpreter = Interpreter(str(mirrored[2]["tflite"]))
+    names = {detail["name"] for detail in interpreter.get_output_details()}
+    assert names == {"a", "displacement", "signs", "new_history", "new_slow", "new_correction"}

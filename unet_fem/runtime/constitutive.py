@@ -1,0 +1,160 @@
+"""The constitutive network beside a user: force in mN to displacement in mm at any rate, with NumPy
+and LiteRT alone.
+
+The file is a .tflite graph of one frame (unet_fem.deployment.constitutive_graph) and behind it, as
+a zip archive of NumPy arrays, the reduced model that the network stands on (fem.online.reduced),
+the learned arrays, and what its guard goes by.
+"""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ai_edge_litert.interpreter import Interpreter
+
+from fem.errors import InputError
+from fem.files import load_arrays, write_bytes
+from fem.online.constitutive import bulk_of, learned_of
+from fem.online.fields import Fields
+from fem.online.reduced_model import ReducedModel
+from fem.online.stepper import State, Stepper, check_interval
+from unet_fem.runtime.rates import rates
+from unet_fem.runtime.surrogate import Surrogate
+
+MEMORY = ("history", "slow", "correction")
+RATES = ("c", "past", "advance", "creep", "remembered")
+REMEDY = "make it again with python tools/quantize.py runs/<name>"
+
+
+FORMAT = "unet-fem constitutive 1"
+
+
+class ConstitutiveSurrogate:
+    """A constitutive network as a fem.online.stepper.Stepper for frames of any length.
+
+    interval: s between calls that give no dt, or None. effort: (share, most): a frame whose last
+    step was longer than `share` of |a| gets another evaluation, up to `most`; the file's own if
+    None; (1, 1) is always one.
+
+    After each step: `a` (R,) its coordinates in mm, and `evaluations`.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        interval: float | None = None,
+        effort: tuple[float, int] | None = None,
+        threads: int = 1,
+    ) -> None:
+        if interval is not None:
+            check_interval(None, interval)
+        self.path, self.interval = Path(path), interval
+        arrays = read_constitutive(path)
+        self.model = ReducedModel.of(arrays, path)
+        self.fields, self.grid = Fields(self.model), self.model.grid
+        self._prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
+        self._open(threads)
+        learned = learned_of(self.model, arrays, path)
+        share, most = learned["effort"] if effort is None else effort
+        if not (0 < share <= 1 and most >= 1):
+            raise InputError(f"effort = {(share, most)} must be a share up to 1 and at least 1")
+        self.share, self.most = float(share), int(most)
+        self._in["bulk"]()[:] = bulk_of(self.model.law)
+        self._dt: float | None = None
+        self.reset()
+
+    def _open(self, threads):
+        try:
+            found = Interpreter(str(self.path), num_threads=threads)
+            found.allocate_tensors()
+        except (ValueError, RuntimeError) as error:
+            raise InputError(
+                f"{self.path} cannot be loaded by LiteRT ({str(error).splitlines()[0]}); {REMEDY}"
+            ) from None
+        # views of the interpreter's memory, made anew at each call: it refuses to run while one is
+        # held
+        self._invoke = found.invoke
+        self._in = {d["name"]: found.tensor(d["index"]) for d in found.get_input_details()}
+        self._out = {d["name"]: found.tensor(d["index"]) for d in found.get_output_details()}
+        self._moves = [(self._in[name], self._out[f"new_{name}"]) for name in MEMORY]
+        self._g, self._a = self._in["g"], self._out["a"]
+        self._u, self._signs = self._out["displacement"], self._out["signs"]
+
+    def reset(self) -> None:
+        """Back to rest: no force in the past."""
+        for name in (*MEMORY, "given", "again"):
+            self._in[name]()[:] = 0
+        self.a, self.evaluations = np.zeros(self.model.modes, "float32"), 0
+
+    def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
+        """Displacement in mm, float32, dt seconds after the call before, under `force` in mN that
+        grew linearly since; see fem.online.stepper.Stepper."""
+        if dt is None:
+            dt = self.interval
+        if dt != self._dt or dt is None:
+            check_interval(None, dt)
+            new = rates(self._prony, float(dt))  # type: ignore[arg-type]
+            for name, value in zip(RATES, new, strict=True):
+                self._in[name]()[:] = value
+            self._dt = dt
+        layout, g = self.fields.encode(np.asarray(force))
+        self._g()[0] = g
+        self._invoke()
+        self.evaluations = 1
+        while self.evaluations < self.most and self._signs()[0, 1] > self.share:
+            self._more()
+        for into, out in self._moves:
+            np.copyto(into(), out())
+        self.a = self._a()[0].copy()
+        return self.fields.placed(self._u()[0], layout)
+
+    def _more(self):
+        """Another evaluation of the frame."""
+        given, again = self._in["given"], self._in["again"]
+        np.copyto(given(), self._a())
+        again()[:] = 1
+        self._invoke()
+        again()[:] = 0
+        self.evaluations += 1
+
+    def state(self) -> State:
+        """All that the next answer depends on: stress history, creep filter, last correction."""
+        return {name: self._in[name]()[0].copy() for name in MEMORY}
+
+    def restore(self, state: State) -> None:
+        """Go on from what `state` gave. Raises InputError for the state of another stepper."""
+        wanted = {name: self._in[name]()[0].shape for name in MEMORY}
+        found = {name: np.shape(values) for name, values in state.items()}
+        if found != wanted or not all(np.isfinite(values).all() for values in state.values()):
+            raise InputError(
+                "the state is of another stepper; restore what state() of the same stepper gave"
+            )
+        for name, values in state.items():
+            self._in[name]()[0] = values
+
+
+def open_surrogate(path: str | Path, **options: Any) -> Stepper:
+    """The stepper of a .tflite file, a ConstitutiveSurrogate or a Surrogate; options go to it."""
+    if str(load_arrays(path, "format").get("format")) == FORMAT:
+        return ConstitutiveSurrogate(path, **options)
+    return Surrogate(path, **options)
+
+
+def read_constitutive(path: str | Path) -> dict[str, np.ndarray]:
+    """{name: array} of what stands behind the graph in the file at `path`. Raises InputError for
+    another file."""
+    if not Path(path).is_file():
+        raise InputError(f"no surrogate {path}; {REMEDY}")
+    arrays = load_arrays(path)
+    if str(arrays.get("format")) != FORMAT:
+        raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
+    return arrays
+
+
+def write_constitutive(path: str | Path, graph: bytes, arrays: dict[str, np.ndarray]) -> None:
+    """Write a file, at once or not at all: the bytes of a .tflite, and the arrays of a ReducedModel
+    and of the guard."""
+    archive = io.BytesIO()
+    np.savez(archive, format=FORMAT, **arrays)  # type: ignore[arg-type]
+    write_bytes(path, graph + archive.getvalue())
