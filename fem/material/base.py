@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # ranges of parameters, see fem.ranges
 MODULUS, TERM = (1e-3, 1e13, "Pa"), (-1e13, 1e13, "Pa")
 NU, DENSITY = (0, 0.5), (1e-6, 1e9, "kg/m3")
-PRONY = Range(1e-12, 1), Range(1e-9, 1e12, "s")
+PRONY = Range(1e-300, 1), Range(1e-9, 1e12, "s")
 STEP = 6e-6  # of a central difference: the cube root of float64's rounding
 
 
