@@ -4,6 +4,10 @@
         [--points 200] [--hard 0]
 
 `--hard N` learns from the first N interactions of the split "hard" too and judges by the rest.
+
+    python -m fem.reduce data/tumour.h5 --judge data/wide_reduced.npz
+
+judges a model by the test and the hard interactions of a dataset.
 """
 
 import argparse
@@ -15,7 +19,11 @@ from tqdm import tqdm
 from fem.commands import command_line
 from fem.data.dataset import open_dataset
 from fem.errors import InputError
-from fem.reduced.build import Choice, default_path, reduce
+from fem.online.reduced import ReducedStepper
+from fem.online.reduced_model import ReducedModel
+from fem.reduced.assemble import material_digest
+from fem.reduced.build import Choice, default_path, reduce, tested
+from fem.reduced.judge import judge
 
 
 @command_line
@@ -24,6 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _options(arguments)
     choice = Choice(options.modes, options.inputs, options.points, options.hard, seed=options.seed)
     dataset = open_dataset(options.data).for_learning()
+    if options.judge:
+        model = ReducedModel.load(options.judge)
+        model.check(dataset.mesh_digest, material_digest(dataset.material))
+        judged = tested(dataset).items()
+        _show({name: judge(ReducedStepper(model), dataset, which) for name, which in judged})
+        return
     out = options.out or default_path(dataset)
     if out.suffix != ".npz":
         raise InputError(f"--out {out} must end in .npz")
@@ -35,17 +49,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     model, verdicts = reduce(dataset, choice, print, progress)
     model.save(out)
-    print(
-        f"wrote {out} ({out.stat().st_size / 1e6:.1f} MB): {model.modes} modes,"
-        f" {model.points} points\n"
-        "held out    error %   worst %   evaluations   CPU ms a frame p50   p99"
-    )
+    size = f"{out.stat().st_size / 1e6:.1f} MB"
+    print(f"wrote {out} ({size}): {model.modes} modes, {model.points} points")
+    _show(verdicts)
+    print(f'next: unet_fem.open_stepper("{out}").step(force, dt), force in mN, dt in s')
+
+
+def _show(verdicts):
+    """Print how a model does."""
+    print("judged by   error %   worst %   evaluations   CPU ms a frame p50   p99")
     for name, one in verdicts.items():
         print(
             f"{name:<9} {100 * one.error:9.2f} {100 * one.worst:9.2f} {one.evaluations:13.1f}"
             f" {one.p50:20.2f} {one.p99:5.2f}"
         )
-    print(f'next: unet_fem.open_stepper("{out}").step(force, dt), force in mN, dt in s')
 
 
 def _options(arguments):
@@ -60,6 +77,7 @@ def _options(arguments):
     parser.add_argument(
         "--hard", type=int, default=Choice.hard, help='interactions of "hard" to learn from too'
     )
+    parser.add_argument("--judge", type=Path, help="model to judge by this dataset; makes none")
     parser.add_argument("--seed", type=int, default=Choice.seed, help="of the draws")
     return parser.parse_args(arguments)
 

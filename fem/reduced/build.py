@@ -71,6 +71,18 @@ def held_out(dataset: Dataset, hard: int) -> dict[str, list[Which]]:
     return {name: some for name, some in found.items() if some}
 
 
+def tested(dataset: Dataset) -> dict[str, list[Which]]:
+    """{"usual", "hard"}: the test interactions, and the hard ones of the test and of the split
+    "hard"."""
+    rows = zip(dataset.split, dataset.number, dataset.hard, strict=True)
+    which = [(str(split), int(number), bool(hard)) for split, number, hard in rows]
+    found = {
+        "usual": [one[:2] for one in which if one[0] == "test" and not one[2]],
+        "hard": [one[:2] for one in which if one[0] in ("test", "hard") and one[2]],
+    }
+    return {name: some for name, some in found.items() if some}
+
+
 def snapshots_of(
     dataset: Dataset,
     body: Body,

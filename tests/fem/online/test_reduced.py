@@ -133,6 +133,20 @@ def test_its_state_is_all_that_the_next_answer_depends_on(whole_model, block):
         other.restore({"forces": np.zeros(3)})
 
 
+def test_worthless_secants_move_no_answer(whole_model, block):
+    """Such as frames leave in which nothing moved: differences of rounding alone."""
+    stepper = ReducedStepper(whole_model, 0.01)
+    for _ in range(4):
+        stepper.step(push(block, 0.1))
+    state = stepper.state()
+    answer = stepper.step(push(block, 0.1001))
+    dR, dX = np.random.default_rng(0).normal(size=(2, *state["secants"][0].shape))
+    noise = {"secants": np.stack([1e-7 * dR, 1e-2 * dX]), "gram": 1e-14 * dR @ dR.T}
+    stepper.restore(state | noise | {"count": np.array(len(dR))})
+    again = stepper.step(push(block, 0.1001))
+    assert np.linalg.norm(again - answer) < 1e-3 * np.linalg.norm(answer)
+
+
 def test_what_no_tissue_bears_ends_in_finite_numbers_and_is_told(whole_model, block):
     stepper = ReducedStepper(whole_model)
     answer = stepper.step(push(block, 500.0), 0.25)

@@ -104,8 +104,11 @@ def test_the_command_writes_a_file_and_says_how_good_it_is(
     words = [str(tiny_dataset), "--out", str(out), "--modes", "8", "--inputs", "6"]
     main([*words, "--points", "40"])
     said = capsys.readouterr().out
-    assert "usual" in said and "8 modes, 40 points" in said
+    assert "judged by" in said and "usual" in said and "8 modes, 40 points" in said
     ReducedStepper.open(out).step(np.zeros((5, 5, 3, 3)), 0.2)
     with pytest.raises(SystemExit):
         main(words)
     assert "exists already" in capsys.readouterr().err
+    main([str(tiny_dataset), "--judge", str(out)])
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 2 and said[1].startswith("hard")  # its only test is
