@@ -7,10 +7,12 @@
 
     python -m fem.reduce data/tumour.h5 --judge data/wide_reduced.npz
 
-judges a model by the test and the hard interactions of a dataset.
+judges a model by the test and the hard interactions of a dataset. `--interval 0.01 --first 8`: by
+the first eight of each at frames of 10 ms.
 """
 
 import argparse
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -31,12 +33,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Reduce a dataset, as the words of a command line ask."""
     options = _options(arguments)
     choice = Choice(options.modes, options.inputs, options.points, options.hard, seed=options.seed)
+    if options.interval is not None and not 0 < options.interval < math.inf:
+        raise InputError(f"--interval {options.interval} s must be positive and finite")
     dataset = open_dataset(options.data).for_learning()
     if options.judge:
         model = ReducedModel.load(options.judge)
         model.check(dataset.mesh_digest, material_digest(dataset.material))
-        judged = tested(dataset).items()
-        _show({name: judge(ReducedStepper(model), dataset, which) for name, which in judged})
+        _show(
+            {
+                name: judge(
+                    ReducedStepper(model), dataset, which[: options.first], options.interval
+                )
+                for name, which in tested(dataset).items()
+            }
+        )
         return
     out = options.out or default_path(dataset)
     if out.suffix != ".npz":
@@ -78,6 +88,12 @@ def _options(arguments):
         "--hard", type=int, default=Choice.hard, help='interactions of "hard" to learn from too'
     )
     parser.add_argument("--judge", type=Path, help="model to judge by this dataset; makes none")
+    parser.add_argument("--first", type=int, help="judge by that many of each kind")
+    parser.add_argument(
+        "--interval",
+        type=float,
+        help="judge at frames of so many s, against the quasi-static solver (default: the data's)",
+    )
     parser.add_argument("--seed", type=int, default=Choice.seed, help="of the draws")
     return parser.parse_args(arguments)
 

@@ -23,6 +23,7 @@ COMMANDS = {
         (["none.h5"], "none.h5"),
         (["none.h5", "--points", "0"], "points = 0"),
         (["none.h5", "--inputs", "400"], "inputs = 400"),
+        (["none.h5", "--judge", "none.npz", "--interval", "0"], "--interval 0"),
     ],
     "unet_fem.train": [
         (["none.toml"], "none.toml"),

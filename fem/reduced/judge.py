@@ -6,8 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fem.contact.push import Load
+from fem.contact.surface import surface_of
 from fem.data.dataset import Dataset
+from fem.data.interaction import Frame, simulate_frames, stacked
 from fem.online.reduced import ReducedStepper
+from fem.solver.quasistatic import QuasiStatic
 
 
 class Verdict(NamedTuple):
@@ -25,12 +29,16 @@ def judge(
     stepper: ReducedStepper,
     dataset: Dataset,
     which: Iterable[tuple[str, int]],
+    interval: float | None = None,
 ) -> Verdict:
-    """The Verdict over some interactions (split, number) of a dataset."""
-    dt = float(dataset.time[1] - dataset.time[0])
+    """The Verdict over some interactions (split, number) of a dataset, at its own frames; or at
+    frames of `interval` s, against quasi-static simulations of the same contacts."""
+    dt = interval or float(dataset.time[1] - dataset.time[0])
     errors, sizes, spent, evaluations = [], [], [], 0
     for split, number in which:
-        one = dataset.sequence(split, number)
+        one: Any = dataset.sequence(split, number)
+        if interval:
+            one = quasistatic(dataset, split, number, interval)
         stepper.reset()
         error = 0.0
         for force, truth in zip(one.force, one.displacement, strict=True):
@@ -51,6 +59,15 @@ def judge(
         float(p50),
         float(p99),
     )
+
+
+def quasistatic(dataset: Dataset, split: str, number: int, interval: float) -> Frame:
+    """An interaction's contacts simulated quasi-statically: a Frame of frames `interval` s apart,
+    from the first to the last that the dataset has."""
+    load = Load(surface_of(dataset.fem_mesh), dataset.contacts(split, number))
+    solver = QuasiStatic(dataset.fem_mesh, dataset.material, precision="float32")
+    count = round(float(dataset.time[-1]) / interval)
+    return stacked(simulate_frames(solver, load, interval * np.arange(1, count + 1)))
 
 
 def _squares(values: Any) -> float:

@@ -71,6 +71,12 @@ def test_a_model_of_two_interactions_answers_them(built):
     model.check(dataset.mesh_digest)
 
 
+def test_other_frames_are_judged_by_quasi_static_runs(built):
+    dataset, model, _ = built
+    verdict = judge(ReducedStepper(model), dataset, [("train", 1)], interval=0.1)
+    assert 0 < verdict.error < 0.1
+
+
 def test_what_is_learned_from_is_not_judged_by(tiny_dataset):
     dataset = fem.open_dataset(tiny_dataset)
     assert learned(dataset, 0) == [("train", 1), ("train", 2)]
