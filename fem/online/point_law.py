@@ -72,46 +72,51 @@ class NeoHookePoints(PointLaw):
         bulk: Any = bulk_modulus(1.0, law.nu) if shared else law.K / law.mu
         self.bulk = np.float32(bulk) if np.ndim(bulk) == 0 else np.asarray(bulk, np.float32)
         # rows and columns repeat cyclically, so that one product has all nine cofactors
-        self._X = np.zeros((5, 5, m), np.float32)
-        self.H = self._X[:3, :3]
+        X = np.zeros((5, 5, m), np.float32)
+        self.H = H = X[:3, :3]
+        self._rows, self._columns = (X[3:, :3], X[:2, :3]), (X[:, 3:], X[:, :2])
+        self._products = X[1:4, 1:4], X[2:5, 2:5], X[1:4, 2:5], X[2:5, 1:4]
+        self._transposed, self._top = H.swapaxes(0, 1), (H[0], self.P[0])
+        self._diagonals = (H[0, 0], H[1, 1], H[2, 2]), (self.P[0, 0], self.P[1, 1], self.P[2, 2])
         self._diagonal = self.P.reshape(9, m)[::4]
         self._trace, self._j, self._J, self._q = np.empty((4, m), np.float32)
         self._six = np.empty((2, 3, 6, m), np.float32)
 
+    def _cofactor(self, out):
+        """cof H."""
+        for here, there in (self._rows, self._columns):
+            here[...] = there
+        first, second, third, fourth = self._products
+        np.multiply(first, second, out=out)
+        out -= np.multiply(third, fourth, out=self._work)
+
     def _elastic(self):
-        X, H, C, W = self._X, self.H, self.P, self._work
-        trace, j, J, q = self._trace, self._j, self._J, self._q
-        X[3:, :3] = X[:2, :3]
-        X[:, 3:] = X[:, :2]
-        np.multiply(X[1:4, 1:4], X[2:5, 2:5], out=C)
-        C -= np.multiply(X[1:4, 2:5], X[2:5, 1:4], out=W)
-        np.add(H[0, 0], H[1, 1], out=trace)
-        trace += H[2, 2]
-        D = np.multiply(H[0], C[0], out=W[0])
-        np.add(D[0], D[1], out=j)
-        j += D[2]
-        j += C[0, 0]
-        j += C[1, 1]
-        j += C[2, 2]
-        j += trace
+        C, trace, j, J, q = self.P, self._trace, self._j, self._J, self._q
+        self._cofactor(C)
+        (H11, H22, H33), (C11, C22, C33) = self._diagonals
+        np.add(H11, H22, out=trace)
+        trace += H33
+        one, two, three = np.multiply(*self._top, out=self._work[0])
+        np.add(one, two, out=j)
+        for term in (three, C11, C22, C33, trace):
+            j += term
         np.add(j, 1, out=J)
         np.divide(j, J, out=q)
         q += np.multiply(j, self.bulk, out=j)
-        C -= H.swapaxes(0, 1)
+        C -= self._transposed
         r = np.subtract(q, 1, out=j)
         C *= r
-        C += H
+        C += self.H
         trace *= r
         trace += q
         self._diagonal += trace
 
     def second(self) -> np.ndarray:
         """S_e = cof F^T P / J (6, m) of the last call, cof F = (1 + tr H) I - H^T + cof H."""
-        X, H, cof = self._X, self.H, np.empty_like(self.P)
-        np.multiply(X[1:4, 1:4], X[2:5, 2:5], out=cof)
-        cof -= np.multiply(X[1:4, 2:5], X[2:5, 1:4], out=self._work)
-        cof -= H.swapaxes(0, 1)
-        cof.reshape(9, -1)[::4] += H[0, 0] + H[1, 1] + H[2, 2] + 1
+        cof = np.empty_like(self.P)
+        self._cofactor(cof)
+        cof -= self._transposed
+        cof.reshape(9, -1)[::4] += sum(self._diagonals[0], start=1)
         left, right = self._six
         cof.take(FIRST, axis=1, out=left, mode="clip")
         self.P.take(SECOND, axis=1, out=right, mode="clip")

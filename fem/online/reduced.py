@@ -58,7 +58,7 @@ from fem.online.residual import Residual
 from fem.online.stepper import State, check_interval
 
 # chosen on validation interactions, see docs/reduced.md
-TOLERANCE, MOST, SECANTS = 2e-3, 12, 8
+TOLERANCE, MOST, SECANTS = 2e-3, 20, 8
 FLOOR = 1e-4  # mm, of |r|: below it a frame is at rest whatever |a|
 WORSE = 4.0  # a step that raises |r|^2 so much is taken back
 REGULAR = 1e-8  # ridge of the secants, of the largest

@@ -32,9 +32,15 @@ class Residual:
         self._b = np.empty(self.R, np.float32)
         self._rhs = np.empty(self.R, np.float32)
         self._Q = np.zeros((3, 3, self.m), np.float32)
-        # for each parity: A, M, its coordinates and those that points see, and its work arrays
+        # for each parity: A (with few long rows, which is faster), M, its coordinates and those
+        # that points see, and its work arrays
         self._gemvs = [
-            (block.A, block.M, part, slice(part.start, part.start + block.A.shape[1]))
+            (
+                np.ascontiguousarray(block.A.T),
+                block.M,
+                part,
+                slice(part.start, part.start + block.A.shape[1]),
+            )
             for block, part in zip(blocks, self.parts, strict=True)
         ]
         self._in = [(H.reshape(-1), z, z[: 9 * h]) for H, z in zip(self._H, self._z, strict=True)]
@@ -79,7 +85,7 @@ class Residual:
         if self._viscous:
             b -= self._aQ
         for (A, _, _, seen), (H, *_) in zip(self._gemvs, self._in, strict=True):
-            np.dot(A, a[seen], out=H)
+            np.dot(a[seen], A, out=H)
         left, right = self._sides
         if self.mirrored:
             even, odd = self._H
