@@ -32,6 +32,8 @@ __getattr__, __dir__, __all__ = exports(
         "fem.solver.energy": "EnergyLedger",
         "fem.solver.explicit": "Solver",
         "fem.solver.frame_loop": "FrameLoop LoopSettings",
+        "fem.solver.quasistatic": "QuasiStatic",
+        "fem.solver.quasistatic_loop": "QuasiStaticLoop",
         "fem.solver.rest": "equilibrium",
     },
 )

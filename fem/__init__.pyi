@@ -25,4 +25,6 @@ from fem.solver.energy import EnergyLedger as EnergyLedger
 from fem.solver.explicit import Solver as Solver
 from fem.solver.frame_loop import FrameLoop as FrameLoop
 from fem.solver.frame_loop import LoopSettings as LoopSettings
+from fem.solver.quasistatic import QuasiStatic as QuasiStatic
+from fem.solver.quasistatic_loop import QuasiStaticLoop as QuasiStaticLoop
 from fem.solver.rest import equilibrium as equilibrium

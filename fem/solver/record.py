@@ -56,7 +56,8 @@ class Step:
     load, internal: external and internal nodal forces at `time`, (3, N) N
     min_J: smallest J of all points at `time`
     viscous_current: whether the viscous stress was brought up to date at `time`
-    last: whether it is the last step of an `advance`
+    last: whether it is the last step of an `advance`; a quasi-static solver ends one with a step of
+    no length, so that the state in which it ends is known too
     body: knows the energies
 
     The arrays are the solver's own, and the next step overwrites them: copy what is to be kept, and
