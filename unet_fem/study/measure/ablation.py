@@ -48,9 +48,11 @@ def arm(kind: str, choice: InputChoice, seed: int, changes: Iterable[str] = ()) 
     return replace(settings, name=name, input=choice, train=replace(settings.train, seed=seed))
 
 
-def ablation(seeds: Sequence[int], changes: Iterable[str] = ()) -> list[dict]:
-    """Train what is missing, seed after seed, judge it, and return a row for each network and
-    input, and for each baseline; without seeds for the baselines alone.
+def ablation(
+    seeds: Sequence[int], kinds: Sequence[str] = tuple(NETWORKS), changes: Iterable[str] = ()
+) -> list[dict]:
+    """Train what is missing, seed after seed, judge it, and return a row for each network of
+    `kinds` and input, and for each baseline; without seeds for the baselines alone.
 
     changes: key=value laid over the settings of all networks. A run that was cut off goes on. A
     row: label, memory, physics, seeds, parameters, and of each of SPLITS an
@@ -59,7 +61,7 @@ def ablation(seeds: Sequence[int], changes: Iterable[str] = ()) -> list[dict]:
     """
     found: dict[tuple[str, str, str], list[dict]] = {}
     dataset = ensure_dataset(arm("cnn_lstm", INPUTS[0], 1, changes))
-    for seed, kind, choice in itertools.product(seeds, NETWORKS, INPUTS):
+    for seed, kind, choice in itertools.product(seeds, kinds, INPUTS):
         settings = arm(kind, choice, seed, changes)
         key = network(kind).label, choice.memory, choice.physics
         found.setdefault(key, []).append(judged(settings, dataset))
