@@ -15,6 +15,7 @@ from fem.commands import command_line
 from fem.errors import InputError
 
 EPOCHS = "train.epochs=10"
+NETWORKS = ["cnn_lstm", "unet"]
 
 
 @command_line
@@ -28,6 +29,7 @@ def main(arguments=None):
     parser.add_argument(
         "--seeds", type=int, nargs="*", default=[1, 2, 3], help="none for the baselines alone"
     )
+    parser.add_argument("--networks", nargs="+", choices=NETWORKS, default=NETWORKS)
     parser.add_argument("--threads", type=int, default=1, help="of TensorFlow (default: 1)")
     parser.add_argument("--out", type=Path, default=Path("docs/ablation"))
     options = parser.parse_args(arguments)
@@ -44,9 +46,11 @@ def main(arguments=None):
     from unet_fem.study.measure import ablation
 
     use_threads(options.threads)
-    rows = ablation.ablation(options.seeds, [EPOCHS, *options.changes])
+    rows = ablation.ablation(options.seeds, options.networks, [EPOCHS, *options.changes])
     print(ablation.table(rows))
     words = ["python tools/ablation.py", *options.changes, "--seeds", *map(str, options.seeds)]
+    if options.networks != NETWORKS:
+        words += ["--networks", *options.networks]
     ablation.write(rows, options.out, " ".join(words))
     print(f"wrote {options.out.with_suffix('.md')} and .json")
 

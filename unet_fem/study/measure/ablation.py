@@ -48,18 +48,21 @@ def arm(kind: str, choice: InputChoice, seed: int, changes: Iterable[str] = ()) 
     return replace(settings, name=name, input=choice, train=replace(settings.train, seed=seed))
 
 
-def ablation(seeds: Sequence[int], changes: Iterable[str] = ()) -> list[dict]:
-    """Train what is missing, seed after seed, judge it, and return a row for each network and
-    input, and for each baseline; without seeds for the baselines alone.
+def ablation(
+    seeds: Sequence[int], kinds: Sequence[str] = tuple(NETWORKS), changes: Iterable[str] = ()
+) -> list[dict]:
+    """Train what is missing, seed after seed, judge it, and return a row for each network of
+    `kinds` and input, and for each baseline; without seeds for the baselines alone.
 
     changes: key=value laid over the settings of all networks. A run that was cut off goes on. A
     row: label, memory, physics, seeds, parameters, and of each of SPLITS an
-    unet_fem.study.measure.statistics.interval with the error of each seed. hard: all interactions
-    beyond the training range, of the tests and of the split of their own; usual: the other tests.
+    unet_fem.study.measure.statistics.interval with the error of each seed, or None. hard: all
+    interactions beyond the training range, of the tests and of the split of their own; usual: the
+    other tests.
     """
     found: dict[tuple[str, str, str], list[dict]] = {}
     dataset = ensure_dataset(arm("cnn_lstm", INPUTS[0], 1, changes))
-    for seed, kind, choice in itertools.product(seeds, NETWORKS, INPUTS):
+    for seed, kind, choice in itertools.product(seeds, kinds, INPUTS):
         settings = arm(kind, choice, seed, changes)
         key = network(kind).label, choice.memory, choice.physics
         found.setdefault(key, []).append(judged(settings, dataset))
@@ -114,6 +117,9 @@ def _row(key, runs):
     row["parameters"] = runs[0]["parameters"]
     for split in SPLITS:
         pairs = np.array([run[split] for run in runs])  # (seeds, I, 2) mm2
+        if not pairs.size:
+            row[split] = None
+            continue
         each = np.sqrt(pairs[..., 0].sum(axis=1) / pairs[..., 1].sum(axis=1))
         row[split] = interval(pairs[..., 0], pairs[0, :, 1]) | {"of_seeds": each.tolist()}
     return row
@@ -123,10 +129,15 @@ def table(rows: list[dict]) -> str:
     """The rows of `ablation` in Markdown."""
 
     def cell(found):
-        spread = found["of_seeds"]
-        seeds = f"; {100 * min(spread):.1f}-{100 * max(spread):.1f}" if len(spread) > 1 else ""
-        low, high = 100 * found["low"], 100 * found["high"]
-        return f"{100 * found['relative_l2']:.1f} ({low:.1f}-{high:.1f}{seeds})"
+        if found is None:
+            return "-"
+        spread, ranges = found["of_seeds"], []
+        if found["low"] is not None:
+            ranges.append((found["low"], found["high"]))
+        if len(spread) > 1:
+            ranges.append((min(spread), max(spread)))
+        told = "; ".join(f"{100 * low:.1f}-{100 * high:.1f}" for low, high in ranges)
+        return f"{100 * found['relative_l2']:.1f}" + (f" ({told})" if told else "")
 
     lines = [
         "| answer | memory | input | parameters | seeds | validation % | usual % | hard % |",
