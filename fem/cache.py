@@ -79,5 +79,9 @@ def once(path: str | Path, key: str, make: Callable[[], object]) -> Any:
         except (ValueError, KeyError, TypeError):
             raise InputError(f"{path} is damaged; delete it, and it is made again") from None
     result = make()
-    write_text(path, json.dumps({"key": key, "result": result}, indent=1, allow_nan=False))
+    try:
+        text = json.dumps({"key": key, "result": result}, indent=1, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: the result cannot be kept ({error}); it is not made") from None
+    write_text(path, text)
     return json.loads(path.read_text())["result"]

@@ -10,6 +10,7 @@ A number without a range of its own must be finite and below 1e15.
 import dataclasses
 import reprlib
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,18 @@ def check(name: str, value: Any, allowed: Range | tuple[Range, ...]) -> None:
         raise InputError(f"{name} = {shown(value)} must be {several}{allowed}")
     elif allowed.ascending and (np.diff(value) < 0).any():
         raise InputError(f"{name} = {shown(value)} must be numbers from low to high")
+
+
+def checked(
+    name: str, value: Any, low: float, high: float, unit: str = "", whole: bool = False
+) -> Any:
+    """`value`, if it is one real number from `low` to `high`, and a whole one if asked for. Raises
+    InputError otherwise; for what a function is given, which has no table."""
+    if not isinstance(value, Integral if whole else Real) or isinstance(value, bool):
+        what = "a whole number" if whole else "a number"
+        raise InputError(f"{name} = {shown(value)} must be {what} {Range(low, high, unit)}")
+    check(name, value, Range(low, high, unit))
+    return value
 
 
 def shown(value: Any) -> str:

@@ -31,7 +31,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise InputError(f"no configuration file {path}{hint}")
     try:
         return tomllib.loads(path.read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path} is not valid TOML: {error}") from None
 
 

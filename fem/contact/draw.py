@@ -21,7 +21,7 @@ class ContactRange:
     """
 
     count: int = number(1, 1000)
-    radius: tuple[float, float] = number(1e-6, 10, "m", ascending=True)
+    radius: tuple[float, float] = number(1e-6, 1e3, "m", ascending=True)
     force: tuple[float, float] = number(0, 1e4, "N", ascending=True)
     travel: tuple[float, float] = number(0, 1000, "m", ascending=True, default=(0.0, 0.0))
     cone: float = number(0, 89.9, "degrees", default=0.0)

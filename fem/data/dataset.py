@@ -180,7 +180,13 @@ class Dataset:
         """{split: {reason: count}} of the draws that were refused; empty for files from before they
         were counted by split."""
         with _opened(self.path) as file:
-            return json.loads(file.attrs.get("rejected_by_split", "{}"))
+            found = json.loads(file.attrs.get("rejected_by_split", "{}"))
+            if not isinstance(found, dict) or not all(
+                isinstance(counts, dict) and all(isinstance(n, int) for n in counts.values())
+                for counts in found.values()
+            ):
+                raise damaged(self.path, "its rejected_by_split is not counts by split")
+            return found
 
     @cached_property
     def mesh_digest(self) -> str:

@@ -1,6 +1,7 @@
 """What the HDF5 file of a dataset holds, in names, units, types and shapes; docs/data.md says it in
 words."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -61,6 +62,7 @@ OPTIONAL = {
 }
 
 
+MESH = ("mesh/points", "mesh/cells", "mesh/fixed")  # every file but those of FIRST_FORMAT
 # which of them are read when a file is opened, and how large they may be: what is larger is damaged
 AT_ONCE = ("time", "split", "number", "hard", "mask", "fixed", "points", "cells", "volume")
 LARGEST = 2**30  # bytes
@@ -91,6 +93,14 @@ def check_members(file: h5py.File, path: Path) -> None:
             )
         if name in AT_ONCE and member.nbytes > LARGEST:
             raise damaged(path, f"'{name}' would take {member.nbytes / 2**30:.0f} GiB")
+    nodes = math.prod(sizes[axis] for axis in "xyz")
+    for axis, most, name in (("E", nodes, "cells"), ("C", 8 * sizes.get("N", 0), "mesh/cells")):
+        if sizes.get(axis, 0) > most:
+            raise damaged(path, f"'{name}' has {sizes[axis]} rows, more than its nodes allow")
+    if file.attrs.get("format") == FORMAT:
+        for name in MESH:
+            if name not in file:
+                raise damaged(path, f"it has no '{name}'")
     for name, kind in TABLES.items():
         if name in file and file[name].dtype != kind:
             raise damaged(path, f"'{name}' has the columns {file[name].dtype.names}")
@@ -126,7 +136,7 @@ def check_contents(path: Path, arrays: Mapping[str, np.ndarray], scene: Scene) -
         ("number", arrays["number"].tolist() == [number for _, number in order]),
         ("hard", arrays["hard"].tolist() == hard),
         ("mask", mask.any()),
-        ("fixed", not (arrays["fixed"] & ~mask).any()),
+        ("fixed", not (arrays["fixed"] & ~mask).any() and (mask & ~arrays["fixed"]).any()),
         ("points", np.isfinite(arrays["points"][mask]).all()),
         ("cells", len(cells) and 0 <= cells.min() <= cells.max() < mask.size),
         ("cells", len(cells) and cells.max() < mask.size and mask.ravel()[cells].all()),

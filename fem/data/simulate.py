@@ -12,6 +12,7 @@ from fem.data.scene import SOLVERS
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.ranges import shown
 from fem.solver.energy import EnergyLedger
 from fem.solver.load_ramp import NodalLoad
 
@@ -37,7 +38,12 @@ def simulate(
     Raises InputError for times that do not ascend, SolverStopped where the solver cannot go on or
     its energy is out of balance.
     """
-    times = np.asarray(times, float)
+    try:
+        times = np.asarray(times, float)
+    except (TypeError, ValueError):
+        raise InputError(f"times = {shown(times)} must be numbers of seconds") from None
+    if np.ndim(times) == 1 and (np.diff(times) < 1e-9).any() and (np.diff(times) > 0).all():
+        raise InputError(f"times = {shown(times)} s must lie 1e-9 s apart at least")
     if times.ndim != 1 or not times.size or times[0] < 0 or not (np.diff(times) > 0).all():
         raise InputError(f"times = {times} s must ascend, from 0 or later on")
     load = Load(surface_of(mesh), [push]) if isinstance(push, Push) else push

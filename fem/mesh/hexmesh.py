@@ -62,7 +62,13 @@ class HexMesh:
         set_(self, "fixed", _kept("fixed", self.fixed, (n,), "b", bool))
         if self.loaded is not None:
             set_(self, "loaded", _kept("loaded", self.loaded, (n,), "b", bool))
+        if self.grid is not None and not isinstance(self.grid, NodeGrid):
+            raise InputError(f"the mesh's grid is {self.grid!r}; give a NodeGrid, or None")
         for kind, rows in (("node_sets", n), ("cell_sets", e)):
+            if not isinstance(getattr(self, kind), Mapping) or not all(
+                isinstance(name, str) for name in getattr(self, kind)
+            ):
+                raise InputError(f"the mesh's {kind} must be arrays by name")
             sets = {
                 name: _kept(f"{kind}['{name}']", values, (rows,), "b", bool)
                 for name, values in getattr(self, kind).items()
@@ -190,7 +196,14 @@ class HexMesh:
     def volume(self, displacement: np.ndarray | None = None) -> float:
         """Volume in m3, of the mesh displaced by `displacement` (N, 3) m if given; exact for
         trilinear cells."""
-        points = self.points if displacement is None else self.points + displacement
+        points = self.points
+        if displacement is not None:
+            if np.shape(displacement) != points.shape or not np.isfinite(displacement).all():
+                raise InputError(
+                    f"a displacement of shape {np.shape(displacement)} must be finite and"
+                    f" {points.shape}"
+                )
+            points = points + displacement
         return float(element.gauss_volumes(points, self.cells).sum())
 
     @cached_property
@@ -225,7 +238,10 @@ class HexMesh:
 def _kept(name, values, shape, kinds, dtype):
     """A read-only copy of an array. Raises InputError for another shape, None being any length, or
     type."""
-    values = np.asarray(values)
+    try:
+        values = np.asarray(values)
+    except ValueError:
+        raise InputError(f"the mesh's {name} has rows of different lengths") from None
     fits = len(shape) == values.ndim and all(
         want in (None, have) for want, have in zip(shape, values.shape, strict=True)
     )

@@ -1,8 +1,10 @@
 """Hexahedral meshes from files (VTK, Gmsh, Abaqus and whatever else meshio reads)."""
 
+import base64
 import contextlib
 import io
 import re
+import struct
 from pathlib import Path
 
 import meshio
@@ -59,11 +61,36 @@ def read_mesh(
     return mesh
 
 
+XML = (".vtu", ".vtp", ".xdmf", ".xmf", ".dae", ".svg")
+BOMB = 2**28  # bytes that the blocks of a compressed file may unpack to
+
+
+def _vet(path):
+    """Raises InputError for a file whose entities or blocks would grow without end as it is read,
+    and for one that names other files to read."""
+    if path.suffix not in XML:
+        return
+    data = path.read_bytes()
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise InputError(f"{path} has a DOCTYPE, which no mesh needs; save it without")
+    if path.suffix in (".xdmf", ".xmf") and re.search(rb'Format\s*=\s*"(?:HDF|Binary)"', data):
+        raise InputError(f"{path} has its numbers in another file; save the mesh as one .vtu file")
+    # a block's head says how large it is unpacked: meshio believes it and allocates
+    found = (base64.b64decode(head) for head in re.findall(rb">\s*([A-Za-z0-9+/]{16})", data))
+    for head in found if b"ompressor=" in data else ():
+        blocks, size, _ = struct.unpack("<3I", head[:12])
+        if blocks < 2**20 and blocks * size > max(BOMB, 100 * len(data)):
+            raise InputError(
+                f"{path} would unpack to {blocks * size / 2**20:.0f} MiB; do not trust it"
+            )
+
+
 def _read(path):
     """meshio's mesh. Raises InputError where meshio fails, and where it would leave out cells with
     a mere warning."""
     if not path.is_file():
         raise InputError(f"no mesh file {path}; mesh.file is relative to the scene file")
+    _vet(path)
     if path.suffix == ".vtu" and path.read_bytes().count(b"<Piece") > 1:
         raise InputError(
             f"{path} has several pieces, of which meshio 5.3 reads one; merge them (ParaView:"

@@ -1,14 +1,17 @@
 """Meshes of cubes, boxes, voxels and the tumour, and any mesh with its cells cut into eight."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from fem.errors import InputError
+from fem.memory import require_memory
 from fem.mesh import element
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.places import outer_faces
 from fem.online.grid import NodeGrid
+from fem.ranges import checked, shown
 
 TUMOUR_EDGE = (
     0.5087e-3  # m: 1314 cubes of this edge make 173.0 mm3, so that 7 % is the paper's 12.1 mm3
@@ -45,6 +48,7 @@ TUMOUR_ROWS = {
 }
 TUMOUR_ROWS[4] = TUMOUR_ROWS[3]
 FIRST_ROW = 4  # along y, of TUMOUR_ROWS
+CELL_BYTES = 4000  # of memory that a cell takes while a mesh is checked
 UNIT = ((element.CORNERS + 1) / 2).astype(int)  # (8, 3) corners of a cell from 0 to 1
 CUTS = np.indices((3, 3, 3)).reshape(3, -1).T - 1  # (27, 3) corners of its eight parts, -1 to 1
 PARTS = np.ravel_multi_index(np.moveaxis(UNIT[:, None] + UNIT, -1, 0), (3, 3, 3))  # (8, 8) of CUTS
@@ -61,6 +65,10 @@ def from_voxels(keep: np.ndarray, edge: float, fixed: str) -> HexMesh:
 
     Its node sets `top` and `bottom` are the highest and lowest nodes; fixed: as in `box`.
     """
+    keep = np.asarray(keep)
+    if keep.ndim != 3 or keep.dtype.kind != "b" or not keep.any():
+        raise InputError(f"voxels of {keep.dtype} {keep.shape}; give bool (ex, ey, ez), some true")
+    edge = checked("edge", edge, 1e-9, 1e6, "m")
     shape = tuple(n + 1 for n in keep.shape)
     number = np.arange(np.prod(shape)).reshape(shape)
     cells = np.stack(
@@ -92,10 +100,13 @@ def box(cells: tuple[int, int, int], edge: float, fixed: str = "all but top") ->
     fixed: "all but top" (bottom and sides), "bottom", "none", or another selection of
     fem.mesh.select.
     """
-    if min(cells) < 1 or edge <= 0:
-        raise InputError(
-            f"a box of {tuple(cells)} cells of edge {edge} m is empty; both must be positive"
-        )
+    if len(cells) != 3:
+        raise InputError(f"a box of {shown(cells)} cells; give their numbers along x, y and z")
+    for n in cells:
+        checked("cells", n, 1, 10**9, whole=True)
+    require_memory(
+        CELL_BYTES * math.prod(cells), f"a box of mesh.cells = {shown(cells)}", "take fewer"
+    )
     return from_voxels(np.ones(tuple(cells), bool), edge, fixed)
 
 

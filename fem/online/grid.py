@@ -4,6 +4,7 @@
 change of axes stand here and nowhere else.
 """
 
+import operator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,7 +28,10 @@ class NodeGrid:
     index: np.ndarray
 
     def __post_init__(self) -> None:
-        shape, index = tuple(int(n) for n in self.shape), np.array(self.index)
+        try:
+            shape, index = tuple(map(operator.index, self.shape)), np.array(self.index)
+        except (TypeError, ValueError):
+            raise InputError(f"a node grid of shape {self.shape!r} needs whole numbers") from None
         if len(shape) != 3 or min(shape) < 1:
             raise InputError(f"a node grid of shape {shape} needs three positive numbers of nodes")
         if index.ndim != 1 or index.dtype.kind not in "iu":
@@ -74,6 +78,11 @@ class NodeGrid:
 
     def to_grid(self, values: np.ndarray) -> np.ndarray:
         """(..., N, C) nodal values as (..., nx, ny, nz, C), zero where there is no node."""
+        if np.ndim(values) < 2 or values.shape[-2] != self.n_nodes:
+            raise InputError(
+                f"values of shape {np.shape(values)} do not fit {self.n_nodes} nodes;"
+                " give (..., N, C)"
+            )
         grid = np.zeros(
             (*values.shape[:-2], int(np.prod(self.shape)), values.shape[-1]), values.dtype
         )

@@ -24,6 +24,7 @@ from fem.files import load_arrays, save_arrays
 from fem.online.creep import Creep, CreepFilter
 from fem.online.grid import NodeGrid
 from fem.online.window import WindowStepper
+from fem.ranges import checked
 
 FORMAT = "unet-fem regression 2"
 FORMAT_1 = "unet-fem regression 1"  # without creep and elastic, and still written where it has none
@@ -57,6 +58,20 @@ class Regression:
     elastic: bool = False
 
     def __post_init__(self) -> None:
+        for name, kinds, axes in (("mask", "b", 3), ("active", "iu", 1), ("kernel", "f", 2)):
+            array = np.asarray(getattr(self, name))
+            if array.dtype.kind not in kinds or array.ndim != axes:
+                raise InputError(
+                    f"{name} is {array.dtype} of shape {array.shape}; fit the regression again"
+                )
+        for name in ("kernel", "modes", "squares"):
+            array = getattr(self, name)
+            if array is not None and not np.isfinite(array).all():
+                raise InputError(f"{name} has values that are not finite; fit it again")
+        if self.steps is not None:
+            checked("steps", self.steps, 1, 1000, whole=True)
+        if self.interval is not None:
+            checked("interval", self.interval, 1e-9, 1e9, "s")
         inputs, outputs = len(self.active), 3 * int(self.mask.sum())
         modes = outputs if self.modes is None else len(self.modes)
         expected = {
@@ -170,12 +185,14 @@ class Regression:
         arrays: dict[str, Any] = load_arrays(path)
         if str(arrays.pop("format", None)) not in (FORMAT, FORMAT_1):
             raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
-        for name, kind in (("steps", int), ("interval", float), ("elastic", bool)):
-            if name in arrays:
-                arrays[name] = kind(arrays[name])
         try:
-            return cls(**arrays)
-        except TypeError as error:
+            for name, kind in (("steps", int), ("interval", float), ("elastic", bool)):
+                if name in arrays:
+                    arrays[name] = kind(arrays[name])
+            found = cls(**arrays)
+            found.grid  # noqa: B018 its places are checked
+            return found
+        except (TypeError, ValueError) as error:
             raise InputError(f"{path} is damaged ({error}); {REMEDY}") from None
 
 

@@ -1,6 +1,7 @@
 """The one protocol of everything that answers forces call by call: networks, regressions, FEM
 loops."""
 
+from numbers import Real
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -45,8 +46,8 @@ def check_interval(interval: float | None, dt: float | None) -> None:
                 "this stepper takes any interval; give dt, the seconds since the call before"
             )
         return
-    if not 0 < dt < np.inf:
-        raise InputError(f"dt = {dt} s must be positive and finite")
+    if not (isinstance(dt, Real) and 0 < dt < np.inf):
+        raise InputError(f"dt = {dt!r} s must be positive and finite")
     if interval is not None and abs(dt - interval) > 1e-6 * interval:
         raise InputError(
             f"dt = {dt:g} s, but this stepper is made for {interval:g} s between calls;"

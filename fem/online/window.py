@@ -9,6 +9,13 @@ from fem.errors import InputError
 from fem.online.grid import NodeGrid
 from fem.online.stepper import State, check_interval
 
+LARGEST_FORCE = 1e12  # mN at a node: beyond it float32 overflows on the way
+
+
+def _finite(values):
+    values = np.asarray(values)
+    return values.dtype.kind in "fiu" and bool(np.isfinite(values).all())
+
 
 class Memory(Protocol):
     """What makes the field that is seen from the force, call by call, such as
@@ -61,6 +68,8 @@ class WindowStepper:
         elapsed = self._elapsed(dt)
         force = np.asarray(force)
         nodal = self.grid.is_nodal(force)
+        if force.size and not np.abs(force).max() <= LARGEST_FORCE:
+            raise InputError(f"the force is {np.abs(force).max():g} mN at a node; give it in mN")
         force = force.astype("float32")
         newest = self.grid.to_grid(force) if nodal else force
         if self.memory:
@@ -88,7 +97,12 @@ class WindowStepper:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
+        known = {"forces", *(self.memory.state() if self.memory else ())}
+        if not isinstance(state, dict) or state.keys() - known:
+            raise InputError("this is not the state of a stepper; restore what its state() gave")
         forces = state.get("forces")
+        if forces is not None and not _finite(forces):
+            raise InputError("the state's forces are not finite numbers; restore what state() gave")
         if forces is None or np.shape(forces) != self._forces.shape:
             found = "nothing" if forces is None else f"shape {np.shape(forces)}"
             raise InputError(

@@ -1,7 +1,6 @@
 """Explicit time integration of a hexahedral mesh under nodal loads: a step control picks the
 steps, a leapfrog takes them, and observers watch."""
 
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 
@@ -10,12 +9,13 @@ import numpy as np
 from fem.errors import InputError, SolverStopped, Stop
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.ranges import checked
 from fem.solver.gate import Gate
 from fem.solver.internal_force import InternalForce
 from fem.solver.leapfrog import Leapfrog
 from fem.solver.load_ramp import LoadRamp, NodalLoad, checked_duration, first_load
 from fem.solver.record import Observer, Step
-from fem.solver.step_control import Pace, StepControl
+from fem.solver.step_control import MOST_STEPS, Pace, StepControl
 
 BLOCK = 16  # most steps between load samples and guards
 
@@ -225,6 +225,11 @@ class Solver:
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Go on from what `snapshot` gave. Raises InputError for that of another solver."""
         here = self.snapshot()
+        if not isinstance(snapshot, dict) or not all(
+            np.asarray(array).dtype.kind in "fiub" and not np.isnan(array).any()
+            for array in snapshot.values()
+        ):
+            raise InputError("the snapshot is not what snapshot() gave: numbers by name, none NaN")
         if {name: np.shape(array) for name, array in snapshot.items()} != {
             name: array.shape for name, array in here.items()
         }:
@@ -253,14 +258,7 @@ def _checked_steps(duration, steps):
     checked_duration(duration)
     if steps is None:
         return None
-    try:
-        steps = operator.index(steps)
-    except TypeError:
-        raise InputError(
-            f"steps = {steps!r} must be a whole number; leave it out to take what is stable"
-        ) from None
-    if steps < 1:
-        raise InputError(f"steps = {steps} must be at least 1; leave it out to take what is stable")
+    checked("steps", steps, 1, int(MOST_STEPS), whole=True)
     if duration == 0:
         raise InputError(f"duration = {duration} s leaves no time for {steps} steps")
     return steps

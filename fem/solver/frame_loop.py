@@ -144,7 +144,11 @@ class FrameLoop:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another loop."""
-        if "load" not in state or np.shape(state["load"]) != self.load.shape:
+        if (
+            not isinstance(state, dict)
+            or "load" not in state
+            or np.shape(state["load"]) != self.load.shape
+        ):
             raise InputError(
                 "the state is not of this loop; restore one of the same mesh and settings"
             )

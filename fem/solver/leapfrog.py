@@ -8,6 +8,7 @@ import numpy as np
 from fem.errors import InputError, Stop
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.ranges import checked
 from fem.solver.body import SMALLEST_J, DeformableBody
 from fem.solver.critical_step import lumped_mass
 from fem.solver.record import Energies
@@ -151,14 +152,13 @@ def kinetic_energy(mass: np.ndarray, v: np.ndarray) -> float:
 
 
 def _check(mesh, damping, mass_scaling):
-    if not 0 <= damping < np.inf:
-        raise InputError(f"solver.damping = {damping} must not be negative")
+    checked("solver.damping", damping, 0, 1e6, "1/s")
     if np.shape(mass_scaling) not in ((), (mesh.n_cells,)):
         raise InputError(
             f"solver.mass_scaling has shape {np.shape(mass_scaling)};"
             f" give one factor, or one for each of the {mesh.n_cells} cells"
         )
-    if not (np.min(mass_scaling) >= 1 and np.max(mass_scaling) < np.inf):
+    if not (np.min(mass_scaling) >= 1 and np.max(mass_scaling) <= 1e12):
         raise InputError(
             f"solver.mass_scaling = {np.min(mass_scaling)} must be at least 1 (1 is the true mass)"
         )

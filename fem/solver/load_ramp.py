@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.errors import InputError
+from fem.ranges import checked, shown
 
 # share of the largest load so far by which its ramp between two samples may miss it
 LOAD_BEND = 0.005
@@ -32,6 +33,8 @@ class LoadRamp:
         count = most
         while True:
             then = np.asarray(load(time + count * dt), float)
+            if then.shape != now.shape:
+                raise InputError(f"the load was {now.shape} and is {then.shape} at {time:g} s")
             self.size = max(self.size, np.abs(then).max())
             # of a parabola from its chord
             bend = np.abs(then - now - count * dt * self.rate).max() / 8
@@ -44,13 +47,17 @@ class LoadRamp:
 
 def checked_duration(duration: float) -> None:
     """Raises InputError for a duration in s that is negative or not finite."""
-    if not 0 <= duration < np.inf:
-        raise InputError(f"duration = {duration} s must be finite and not negative")
+    checked("duration", duration, 0, 1e12, "s")
 
 
 def first_load(load: NodalLoad, time: float, shape: tuple[int, ...]) -> np.ndarray:
     """The load at `time`. Raises InputError for another shape."""
-    found = np.asarray(load(time), float)
+    if not callable(load):
+        raise InputError(f"the load is {shown(load)}; give a function of the time in s")
+    found = np.asarray(load(time))
+    if found.dtype.kind not in "fiu":
+        raise InputError(f"the load is {shown(found)}; give real numbers, in N")
+    found = found.astype(float)
     if found.shape != shape:
         raise InputError(
             f"the load has shape {found.shape}; give nodal forces of shape {shape}, in N"

@@ -7,6 +7,7 @@ import numpy as np
 from fem.errors import InputError, SolverStopped, Stop
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
+from fem.ranges import checked, shown
 from fem.solver.critical_step import thickness
 from fem.solver.explicit import BLOCK, Solver
 
@@ -43,7 +44,12 @@ def equilibrium(
     `residual` is not reached in `max_steps`, and whatever Solver.advance raises. element and
     allow_locking: see fem.solver.explicit.Solver.
     """
-    load = np.array(load, float)
+    checked("residual", residual, 1e-14, 1)
+    checked("max_steps", max_steps, 1, 10**9, whole=True)
+    try:
+        load = np.array(load, float)
+    except (TypeError, ValueError):
+        raise InputError(f"the load is {shown(load)}; give one force a node, in N") from None
     if load.shape != mesh.points.shape or not np.isfinite(load).all():
         raise InputError(
             f"the load must be finite and of shape {mesh.points.shape}, one force a node;"

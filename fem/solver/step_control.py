@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem.errors import InputError, SolverStopped, Stop
+from fem.errors import SolverStopped, Stop
+from fem.ranges import checked
 from fem.solver.body import SMALLEST_J
 from fem.solver.critical_step import critical_time_step, thickness
 from fem.solver.gate import check_corners
@@ -44,8 +45,7 @@ class StepControl:
     """
 
     def __init__(self, leapfrog: Leapfrog, safety: float = 0.85) -> None:
-        if not 0 < safety:
-            raise InputError(f"solver.safety = {safety} must be positive; 0.85 is usual")
+        checked("solver.safety", safety, 1e-6, 10)
         self.leapfrog, self.safety = leapfrog, float(safety)
         self._thickness = thickness(leapfrog.mesh)
         self._shortest_relaxation = min((tau for _, tau in leapfrog.material.prony), default=None)

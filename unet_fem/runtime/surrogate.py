@@ -19,6 +19,7 @@ from fem.online.grid import NodeGrid
 from fem.online.input_field import InputField
 from fem.online.stepper import State, check_interval
 from fem.online.volume import VOLUME_BAND, QuadVolume
+from fem.ranges import checked
 from unet_fem.runtime.surrogate_file import read_surrogate
 
 
@@ -27,6 +28,9 @@ def force_size(force: np.ndarray) -> tuple[float, float]:
     3)."""
     total = np.linalg.norm(force.sum(axis=(-4, -3, -2), dtype=float), axis=-1)
     return float(total.max()), float(np.linalg.norm(force, axis=-1).max())
+
+
+_FLOAT = np.dtype("float32")
 
 
 class Surrogate:
@@ -55,8 +59,9 @@ class Surrogate:
     def __init__(self, path: str | Path, threads: int = 1, rate: float | None = None) -> None:
         """path: file of tools/quantize.py. threads: of the interpreter. Raises InputError for
         another file, and for a rate at which a window's interval is not a whole number of calls."""
-        if threads < 1 or rate is not None and not rate > 0:
-            raise InputError(f"threads = {threads} and rate = {rate} must be positive")
+        checked("threads", threads, 1, 1024, whole=True)
+        if rate is not None:
+            checked("rate", rate, 1e-3, 1e6, "Hz")
         about = read_surrogate(path)
         self.path, self.mask = Path(path), about["mask"]
         self.grid = self.mask.shape
@@ -145,6 +150,14 @@ class Surrogate:
         check_interval(self.interval, dt)
         force = np.asarray(force)
         nodal = self._is_nodal(force)
+        if out is not None and not (
+            isinstance(out, np.ndarray)
+            and (out.shape, out.dtype) == (force.shape, _FLOAT)
+            and out.flags.writeable
+        ):
+            raise InputError(
+                f"out must be a float32 array of shape {force.shape} that can be written to"
+            )
         newest = (self._newest + 1) % len(self._recent)
         now = self._recent[newest]
         np.copyto(now, self._layout.to_grid(force) if nodal else force, casting="unsafe")
@@ -184,6 +197,8 @@ class Surrogate:
     def restore(self, state: State) -> None:
         """Go on from what `state` gave; a surrogate of the same grid, window and rate will do.
         Raises InputError for another."""
+        if not isinstance(state, dict):
+            raise InputError("this is not the state of a surrogate; restore what state() gave")
         forces = np.asarray(state.get("forces"))
         past = self._recent[1:]
         fits = (forces.shape, forces.dtype) == (past.shape, past.dtype)

@@ -6,7 +6,9 @@ the forces, and is written where it sees the forces. Format 1 lacks also the nod
 grid, the mesh's digest and the label; it opens, but its surrogate takes forces on the grid alone.
 """
 
+import hashlib
 import io
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +62,7 @@ def write_surrogate(
         interval=float(interval),
         largest_force=np.asarray(largest_force, float),
         label=label,
+        sha256=hashlib.sha256(model).hexdigest(),
         **seen,
     )
     write_bytes(path, model + archive.getvalue())
@@ -81,12 +84,27 @@ def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
             f" but '{FORMAT_2}' and '{FORMAT_1}';"
             " make one with python tools/quantize.py runs/<name>"
         )
+    # LiteRT takes most damage for weights, and some of it ends the process; older files have none
+    if "sha256" in arrays and str(arrays["sha256"]) != _graph_digest(path):
+        raise InputError(
+            f"{path} is damaged: its graph is not the one that was written;"
+            " make it again with python tools/quantize.py runs/<name>"
+        )
     if not _whole(arrays, found != FORMAT_1) or not _input_whole(arrays, found == FORMAT):
         raise InputError(
             f"{path} is damaged: its arrays are incomplete or do not fit each other;"
             " make it again with python tools/quantize.py runs/<name>"
         )
     return arrays
+
+
+def _graph_digest(path):
+    """SHA-256 of what lies before the archive in the file at `path`."""
+    with open(path, "rb") as file:
+        with zipfile.ZipFile(file) as archive:
+            size = min(member.header_offset for member in archive.infolist())
+        file.seek(0)
+        return hashlib.sha256(file.read(size)).hexdigest()
 
 
 def _whole(arrays: dict[str, np.ndarray], with_nodes: bool) -> bool:

@@ -185,7 +185,7 @@ def test_a_bad_cell_is_named(spoil):
 
 def test_impossible_boxes_are_refused():
     """An empty box, an unknown support and a node at no place are InputErrors."""
-    with pytest.raises(InputError, match="positive"):
+    with pytest.raises(InputError, match="must be from 1"):
         box((0, 2, 2), EDGE)
     with pytest.raises(InputError, match="'sides' is neither .* bottom, top"):
         box((2, 2, 2), EDGE, "sides")
