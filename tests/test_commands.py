@@ -53,6 +53,11 @@ COMMANDS = {
     "tools/make_lobe.py": [],
     "tools/prune.py": [(["runs/none"], "runs/none"), (["runs/none", "--sparsity", "2"], "2")],
     "tools/quantize.py": [(["runs/none"], "runs/none")],
+    "tools/readings.py": [
+        (["--readings", "D"], "--readings D"),
+        (["--readings", "C"], "--many SCENE DATA"),
+        (["epochs", "--readings", "A"], "'epochs' is no key=value"),
+    ],
     "tools/report.py": [
         (["none.toml"], "none.toml"),
         (["--again", "nothing"], "nothing"),

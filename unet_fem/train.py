@@ -16,6 +16,7 @@ from fem.former import moved
 from fem.lazy import callable_module
 from fem.locks import lock
 from unet_fem.training.inputs import keep_input, run_input
+from unet_fem.training.readings import read_as
 from unet_fem.training.run import ensure_dataset, prepare_folder, vet
 from unet_fem.training.samples import scales, training_samples
 from unet_fem.training.settings import QUICK, Settings, load_settings
@@ -32,6 +33,7 @@ def train(settings: Settings, resume: bool = False) -> dict:
     dataset = ensure_dataset(settings)
     field = run_input(settings, dataset)
     samples = training_samples(dataset, settings.model.window, field)
+    samples = read_as(*samples, len(dataset.time), settings.samples)
     scales(samples[0])  # refuses forces that are all zero
     with lock(settings.folder):
         prepare_folder(settings, dataset, resume)

@@ -50,6 +50,22 @@ class InputChoice:
 
 
 @dataclass(frozen=True)
+class SampleChoice:
+    """Which frames the model learns from, see unet_fem.training.readings.
+
+    split: "interactions", whole ones as the dataset has them, or "frames" at random, which leaks;
+    each: frames at random of each interaction, 0 for all; seed: of the draw.
+    """
+
+    split: Literal["interactions", "frames"] = "interactions"
+    each: int = number(0, 1_000_000, default=0)
+    seed: int = number(0, 2**32 - 1, default=0)
+
+    def __post_init__(self) -> None:
+        config.normalised(self, "samples")
+
+
+@dataclass(frozen=True)
 class TrainChoice:
     """schedule "cosine" lets the learning rate fall to zero at the last epoch; precision is Keras's
     policy. A regression is fitted in closed form and reads none of it."""
@@ -77,6 +93,7 @@ class Settings:
     model: Options = field(default_factory=CnnLstm)
     loss: LossChoice = field(default_factory=LossChoice)
     input: InputChoice = field(default_factory=InputChoice)
+    samples: SampleChoice = field(default_factory=SampleChoice)
 
     def __post_init__(self) -> None:
         config.normalised(self)
@@ -99,10 +116,11 @@ class Settings:
 
     def toml(self) -> str:
         """The settings as a TOML file, with the options of the model's kind alone, and without
-        [input] where the model sees the forces as they are."""
+        [input] and [samples] where they are the defaults."""
         tree = config.to_dict(self)
-        if self.input == InputChoice():
-            del tree["input"]
+        for name, usual in (("input", InputChoice()), ("samples", SampleChoice())):
+            if getattr(self, name) == usual:
+                del tree[name]
         return config.dump_toml(tree)
 
 

@@ -153,19 +153,19 @@ def _regression(study, name, competitor, dataset, samples, truth):
 
 def _answer(study, name, competitor, dataset, samples, truth):
     """The entry of one of study.answers, and "stopped": [{"case", "reason"}] where it is a solver
-    that cannot go on; one of frames shorter than the dataset's is judged on the interactions of
-    the headline alone."""
+    that cannot go on; a FEM, and what is asked for frames shorter than the dataset's, is judged on
+    the interactions of the headline alone."""
     made_from = _key(study, truth, competitor.facts(), [dataset.path, competitor.file or ""])
     entry = study.cache / "accuracy" / f"{made_from}.json"
     frame = competitor.frame or dataset.scene.frames.interval
-    short = frames_between(dataset.scene, frame) > 1
+    few = competitor.kind == "FEM" or frames_between(dataset.scene, frame) > 1
 
     def judge():
         print(f"judging {name}", flush=True)
         every = unseen_cases(dataset)
         stepper, order = competitor.make(), {case: n for n, case in enumerate(every)}
         answers, stopped = {}, []
-        for case in everything(headline(study, dataset)) if short else every:
+        for case in everything(headline(study, dataset)) if few else every:
             rows = _rows(dataset, [order[case]])
             try:
                 answers[case] = _one(stepper, dataset, case, frame, samples.force[rows])
