@@ -11,6 +11,7 @@ fem.online.reduced, in whose file s and N stand beside the arrays of the reduced
 
     gain (R,)              s
     N<b> (R_b, 9 k)        of the stresses of k points a side, left and right folded as T is
+    V<b> (R_b, R_b)        see fem.online.retissue; not in every file
     effort (2,)            a frame whose last step is longer than effort[0] |a| gets another
                            evaluation, up to effort[1] of them
 
@@ -167,10 +168,12 @@ def learned_of(
     missing = [name for name in names if name not in arrays]
     if missing:
         raise InputError(f"{path} holds no {missing[0]}: no network was trained on it; {REMEDY}")
-    learned = {name: arrays[name] for name in names}
+    shares = [f"V{b}" for b in range(len(model.blocks)) if f"V{b}" in arrays]
+    learned = {name: arrays[name] for name in names + shares}
     columns = learned["N0"].shape[-1]
     shapes: dict[str, tuple] = {"gain": (model.modes,), "effort": (2,)}
     shapes |= {f"N{b}": (len(block.M), columns) for b, block in enumerate(model.blocks)}
+    shapes |= {name: (len(model.blocks[b].M),) * 2 for b, name in enumerate(shares)}
     for name, shape in shapes.items():
         found = learned[name]
         if found.shape != shape or found.dtype.kind != "f" or not np.isfinite(found).all():

@@ -18,6 +18,7 @@ from fem.files import load_arrays, write_bytes
 from fem.online.constitutive import bulk_of, learned_of
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
+from fem.online.retissue import with_tissue
 from fem.online.stepper import State, Stepper, check_interval
 from unet_fem.runtime.rates import rates
 from unet_fem.runtime.surrogate import Surrogate
@@ -53,20 +54,25 @@ class ConstitutiveSurrogate:
         arrays = read_constitutive(path)
         self.model = ReducedModel.of(arrays, path)
         self.fields, self.grid = Fields(self.model), self.model.grid
-        self._prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
-        self._open(threads)
-        learned = learned_of(self.model, arrays, path)
-        share, most = learned["effort"] if effort is None else effort
+        self._threads = threads
+        self._open(self.path.read_bytes())
+        self._learned = learned_of(self.model, arrays, path)
+        share, most = self._learned["effort"] if effort is None else effort
         if not (0 < share <= 1 and most >= 1):
             raise InputError(f"effort = {(share, most)} must be a share up to 1 and at least 1")
         self.share, self.most = float(share), int(most)
-        self._in["bulk"]()[:] = bulk_of(self.model.law)
-        self._dt: float | None = None
+        self._take_tissue()
         self.reset()
 
-    def _open(self, threads):
+    def _take_tissue(self):
+        self._in["bulk"]()[:] = bulk_of(self.model.law)
+        self._prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
+        self._dt: float | None = None
+
+    def _open(self, graph):
+        self._graph = graph
         try:
-            found = Interpreter(str(self.path), num_threads=threads)
+            found = Interpreter(model_content=graph, num_threads=self._threads)
             found.allocate_tensors()
         except (ValueError, RuntimeError) as error:
             raise InputError(
@@ -96,7 +102,7 @@ class ConstitutiveSurrogate:
             check_interval(None, dt)
             new = rates(self._prony, float(dt))  # type: ignore[arg-type]
             for name, value in zip(RATES, new, strict=True):
-                self._in[name]()[:] = value
+                place(value[0], self._in[name]()[0])
             self._dt = dt
         layout, g = self.fields.encode(np.asarray(force))
         self._g()[0] = g
@@ -108,6 +114,33 @@ class ConstitutiveSurrogate:
             np.copyto(into(), out())
         self.a = self._a()[0].copy()
         return self.fields.placed(self._u()[0], layout)
+
+    def set_material(
+        self,
+        mu: float | None = None,
+        K: float | None = None,
+        prony: tuple[tuple[float, float], ...] | None = None,
+    ) -> None:
+        """Another tissue from here on, at rest: moduli in Pa and ((g, tau s), ...); what is None
+        stays. Nothing is trained; a common factor on mu and K is exact.
+
+        Raises InputError for what has no meaning or does not hold, see fem.online.retissue, for
+        more Prony terms than the graph has, and for another K / mu in a graph with int8 weights.
+        """
+        model, learned = with_tissue(self.model, self._learned, mu, K, prony)
+        terms = self._in["history"]().shape[1] - 1
+        if len(model.prony) > terms:
+            raise InputError(
+                f"prony has {len(model.prony)} terms and the graph in {self.path} room for {terms}"
+            )
+        if learned is not self._learned:
+            pairs = [(f"N{b}", self._learned, learned) for b in range(len(model.blocks))]
+            changed = [(old[name], new[name]) for name, old, new in pairs]
+            blocks = zip(self.model.blocks, model.blocks, strict=True)
+            self._open(patched(self._graph, changed + [(b.M, new.M) for b, new in blocks]))
+        self.model, self._learned, self.fields = model, learned, Fields(model)
+        self._take_tissue()
+        self.reset()
 
     def _more(self):
         """Another evaluation of the frame."""
@@ -132,6 +165,40 @@ class ConstitutiveSurrogate:
             )
         for name, values in state.items():
             self._in[name]()[0] = values
+
+
+def place(value: np.ndarray, into: np.ndarray) -> None:
+    """A matrix of `rates` into one for more Prony terms, which have no share."""
+    if value.shape == into.shape:
+        into[:] = value
+        return
+    into[:] = 0
+    extra = [n - m for n, m in zip(into.shape, value.shape, strict=True)]
+    rows = _places(len(value), extra[0], 1)
+    columns = _places(value.shape[1], extra[1], 1 if len(value) == 1 else 2)
+    into[np.ix_(rows, columns)] = value
+
+
+def _places(count, extra, last):
+    """Of `count` rows, the `last` ones at the end, `extra` ones left out before them."""
+    return np.arange(count) + extra * (np.arange(count) >= count - last)
+
+
+def patched(graph: bytes, pairs: list[tuple[np.ndarray, np.ndarray]]) -> bytes:
+    """A graph with the weights of each (old, new) pair exchanged. Raises InputError where the old
+    ones do not stand in it as they are."""
+    for old, new in pairs:
+        for kind in ("<f4", "<f2"):
+            found = np.ascontiguousarray(old, kind).tobytes()
+            if found in graph:
+                graph = graph.replace(found, np.ascontiguousarray(new, kind).tobytes())
+                break
+        else:
+            raise InputError(
+                "another K / mu changes weights, and this graph does not hold them as they are;"
+                " use the float32 or float16 file"
+            )
+    return graph
 
 
 def open_surrogate(path: str | Path, **options: Any) -> Stepper:

@@ -10,6 +10,7 @@ from fem.errors import InputError
 from fem.online.constitutive import ConstitutiveStepper, load_constitutive, save_constitutive
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import Block, ReducedModel
+from fem.online.retissue import with_tissue
 from fem.online.stepper import Stepper
 from unet_fem.deployment.constitutive_graph import export_constitutive
 from unet_fem.networks.constitutive import ConstitutiveCell, Rates
@@ -65,6 +66,8 @@ def make(folder, **options):
     }
     cell.learn(learned)
     learned["effort"] = np.array([1.0, 1.0])
+    for b, R in enumerate(SIZES[: len(model.blocks)]):
+        learned[f"V{b}"] = (0.02 * rng.standard_normal((R, R))).astype("float32")
     files = {kind: Path(folder, f"net.{kind}") for kind in ("npz", "tflite")}
     save_constitutive(files["npz"], model, learned)
     graph = export_constitutive(cell, model)
@@ -201,3 +204,41 @@ def test_inputs_and_outputs_go_by_their_names(mirrored):
     interpreter = Interpreter(str(mirrored[2]["tflite"]))
     names = {detail["name"] for detail in interpreter.get_output_details()}
     assert names == {"a", "displacement", "signs", "new_history", "new_slow", "new_correction"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"mu": 500.0, "K": 2000.0},
+        {"prony": ((0.3, 5.0),)},
+        {"prony": ()},
+        {"K": 4000.0, "prony": ((0.1, 1.0), (0.2, 100.0))},
+    ],
+)
+def test_another_tissue_in_the_graph_is_that_in_numpy(mirrored, change):
+    surrogate = ConstitutiveSurrogate(mirrored[2]["tflite"])
+    as_it_was = coordinates(surrogate)
+    surrogate.set_material(**change)
+    model, learned = load_constitutive(mirrored[2]["npz"])
+    other, learned = with_tissue(model, learned, **change)
+    wanted = coordinates(ConstitutiveStepper(other, learned))
+    found = coordinates(surrogate)
+    assert np.linalg.norm(wanted - as_it_was) > 1e-2 * np.linalg.norm(wanted)
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_a_common_factor_of_the_moduli_is_exact(mirrored):
+    surrogate = ConstitutiveSurrogate(mirrored[2]["tflite"], 0.25)
+    law, force = surrogate.model.law, forces()[3]
+    wanted = surrogate.step(force)
+    surrogate.set_material(1.7 * law.mu, 1.7 * law.K)
+    found = surrogate.step(1.7 * force)
+    np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
+
+
+def test_tissue_that_the_graph_cannot_hold_is_refused(mirrored):
+    surrogate = ConstitutiveSurrogate(mirrored[2]["tflite"])
+    with pytest.raises(InputError, match="room for 2"):
+        surrogate.set_material(prony=((0.1, 1.0), (0.1, 2.0), (0.1, 3.0)))
+    with pytest.raises(InputError, match="must be positive"):
+        surrogate.set_material(mu=-1.0)
