@@ -81,7 +81,12 @@ def _options(arguments):
     )
     parser.add_argument("data", help="dataset, such as data/tumour.h5")
     parser.add_argument("--out", type=Path, help="file to write (default: <data>_reduced.npz)")
-    parser.add_argument("--modes", type=int, default=Choice.modes, help="modes of the answer")
+    parser.add_argument(
+        "--modes",
+        type=float,
+        default=Choice.modes,
+        help="modes of the answer: how many, or below 1 what they may leave out, relative L2",
+    )
     parser.add_argument("--inputs", type=int, default=Choice.inputs, help="modes that points see")
     parser.add_argument("--points", type=int, default=Choice.points, help="material points")
     parser.add_argument(

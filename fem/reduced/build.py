@@ -25,11 +25,11 @@ RIDGES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 
 @dataclass(frozen=True)
 class Choice:
-    """modes: R; inputs: how many of them the points see; points: m; hard: how many interactions of
-    the split "hard" to learn from, beside "train"; frames: to choose the points by; seed: of the
-    draws."""
+    """modes: R, or below 1 what they may leave out of the snapshots, relative L2; inputs: how many
+    of them the points see; points: m; hard: how many interactions of the split "hard" to learn
+    from, beside "train"; frames: to choose the points by; seed: of the draws."""
 
-    modes: int = 240
+    modes: float = 240
     inputs: int = 120
     points: int = 200
     hard: int = 0
@@ -38,12 +38,14 @@ class Choice:
 
     def __post_init__(self) -> None:
         settings.normalised(self)
-        for name in ("modes", "inputs", "points", "frames"):
+        if not self.modes > 0:
+            raise InputError(f"modes = {self.modes:g} must be positive")
+        for name in ("inputs", "points", "frames"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} = {getattr(self, name)} must be at least 1")
-        if self.inputs > self.modes:
+        if self.inputs > self.modes >= 1:
             raise InputError(
-                f"inputs = {self.inputs} must be at most modes = {self.modes}, of which they are"
+                f"inputs = {self.inputs} must be at most modes = {self.modes:g}, of which they are"
             )
         if self.hard < 0:
             raise InputError(f"hard = {self.hard} must not be negative")
@@ -117,8 +119,9 @@ def reduce(
     tell(f"modal coordinates of them are kept in {snapshots.path}")
     reduction = Reduction(body, snapshots, list(range(len(which))), choice.modes)
     modes = int(reduction.starts[-1])
-    tell(f"{modes} modes leave out {100 * reduction.left_out:.3f} % of what they were made from")
-    seen, rng = reduction.first(choice.inputs), np.random.default_rng(choice.seed)
+    left_out = reduction.decomposition.left_out(modes)
+    tell(f"{modes} modes leave out {100 * left_out:.3f} % of what they were made from")
+    seen, rng = reduction.first(min(choice.inputs, modes)), np.random.default_rng(choice.seed)
     points, weights, residual = cubature(reduction, seen, choice.points, choice.frames, rng)
     tell(
         f"{points.rows.size} points; they alone miss {100 * residual:.1f} % of the nonlinear force"

@@ -37,16 +37,19 @@ class Body:
 
 
 class Reduction:
-    """The first `count` modes of the interactions `members` (places in `snapshots`).
+    """The first modes of the interactions `members` (places in `snapshots`).
 
+    count: of the modes, or below 1 what they may leave out, relative L2
     modes: (k, R_b) in the snapshots' bases; fields: (R_b, N, 3) of each parity; flexibility: K_r^-1
     (R_b, R_b) mm/mN; encoder (R_b, 3 h_force) mm/mN and decoder (3 h_free, R_b), as in
-    fem.online.reduced; left_out: what the modes leave out of the members, relative L2.
+    fem.online.reduced.
     """
 
-    def __init__(self, body: Body, snapshots: Snapshots, members: list[int], count: int) -> None:
+    def __init__(self, body: Body, snapshots: Snapshots, members: list[int], count: float) -> None:
         self.body, self.snapshots, self.members = body, snapshots, members
-        self.modes, self.left_out = snapshots.modes(members, count)
+        self.decomposition = snapshots.decomposition(members)
+        number = int(count) if count >= 1 else self.decomposition.count(count)
+        self.modes = self.decomposition.modes(number)
         self.fields, self.flexibility, self.encoder, self.decoder = [], [], [], []
         for parity, (Q, phi) in enumerate(zip(snapshots.bases, self.modes, strict=True)):
             coordinates = (Q @ phi).T  # (R_b, 3 h)
@@ -66,7 +69,7 @@ class Reduction:
 
     def first(self, count: int) -> list[int]:
         """How many modes of each parity are among the first `count` of all."""
-        return [phi.shape[1] for phi in self.snapshots.modes(self.members, count)[0]]
+        return [phi.shape[1] for phi in self.decomposition.modes(count)]
 
     def coordinates(self, i: int) -> np.ndarray:
         """(frames, R) mm of interaction i, the even modes first."""

@@ -99,24 +99,50 @@ class Snapshots:
             rows = [y[:, : Q.shape[1]] for y, Q in zip(rows, self.bases, strict=True)]
         return rows
 
-    def modes(self, members: Iterable[int], count: int) -> tuple[list[np.ndarray], float]:
-        """(modes (k, R_b) in the bases, what they leave out of the energy as relative L2): `count`
-        proper orthogonal modes of the interactions `members`, shared out between the parities by
-        their energy."""
+    def decomposition(self, members: Iterable[int]) -> "Decomposition":
+        """The proper orthogonal modes of the interactions `members`."""
         grams = [np.zeros((Q.shape[1],) * 2) for Q in self.bases]
         for i in members:
             for gram, y in zip(grams, self.coordinates(i), strict=True):
                 gram += y.T.astype(float) @ y
-        found = [np.linalg.eigh(gram) for gram in grams]
-        order = np.sort(np.concatenate([w for w, _ in found]))[::-1]
-        least = order[min(count, len(order)) - 1]
-        modes = [V[:, ::-1][:, : int(np.sum(w >= least))] for w, V in found]
-        return modes, float(np.sqrt(max(order[count:].sum(), 0) / order.sum()))
+        energies, vectors = zip(*(np.linalg.eigh(gram) for gram in grams), strict=True)
+        return Decomposition([w[::-1] for w in energies], [V[:, ::-1] for V in vectors])
 
     def in_modes(self, modes: list[np.ndarray], i: int) -> np.ndarray:
         """(frames, R) coordinates of interaction i in `modes`, the even ones first."""
         parts = zip(self.coordinates(i), modes, strict=True)
         return np.hstack([y @ phi for y, phi in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposition:
+    """Proper orthogonal modes, those of each parity by falling energy: energies (k,) mm2 and
+    vectors (k, k) in the snapshots' bases."""
+
+    energies: list[np.ndarray]
+    vectors: list[np.ndarray]
+
+    @property
+    def _order(self):
+        return np.sort(np.concatenate(self.energies))[::-1]
+
+    def modes(self, count: int) -> list[np.ndarray]:
+        """The first `count` modes of all, (k, R_b) of each parity."""
+        order = self._order
+        least = order[min(count, len(order)) - 1]
+        both = zip(self.energies, self.vectors, strict=True)
+        return [V[:, : int(np.sum(w >= least))] for w, V in both]
+
+    def left_out(self, count: int) -> float:
+        """What the first `count` modes leave out of the snapshots, relative L2."""
+        order = self._order
+        return float(np.sqrt(max(order[count:].sum(), 0.0) / order.sum()))
+
+    def count(self, left_out: float) -> int:
+        """How many modes it takes to leave out no more than that."""
+        order = np.maximum(self._order, 0.0)
+        rest = order.sum() - np.cumsum(order)
+        return 1 + int(np.sum(rest > left_out**2 * order.sum()))
 
 
 def read_snapshots(

@@ -10,6 +10,7 @@ import fem
 from fem.reduced.assemble import Assembly
 from fem.reduced.points import PA, volumes
 from fem.reduced.reduction import Body, Reduction
+from fem.reduced.snapshots import Decomposition
 
 TISSUE = fem.NeoHooke(400.0, 0.42, 1000.0, ((0.12, 330.0), (0.8, 11.0)))
 
@@ -21,8 +22,9 @@ class Everything:
     bases: list
     interval: float = 0.25
 
-    def modes(self, members, count):
-        return [np.eye(Q.shape[1]) for Q in self.bases], 0.0
+    def decomposition(self, members):
+        sizes = [Q.shape[1] for Q in self.bases]
+        return Decomposition([np.ones(k) for k in sizes], [np.eye(k) for k in sizes])
 
 
 def whole(mesh, material):

@@ -55,8 +55,8 @@ def test_with_all_modes_and_points_it_is_the_viscoelastic_equilibrium_of_the_ful
     assert equilibrium_error(block, material, forces, INTERVALS, answers) < 5e-4
 
 
-def test_without_a_mirror_too(block, tissue, distort, reduce_wholly):
-    mesh = distort(block)
+def test_without_a_mirror_and_a_node_grid_too(block, tissue, distort, reduce_wholly):
+    mesh = dataclasses.replace(distort(block), grid=None)
     model = reduce_wholly(mesh, tissue)
     assert model.axis is None and len(model.blocks) == 1
     stepper = ReducedStepper(model, tolerance=1e-6, most=60)

@@ -5,6 +5,7 @@ import pytest
 
 import fem
 from fem.errors import InputError
+from fem.online.indicator import ErrorIndicator
 from fem.online.reduced import ReducedStepper
 from fem.reduce import main
 from fem.reduced.build import Choice, held_out, learned
@@ -13,6 +14,7 @@ from fem.reduced.cubature import choose
 from fem.reduced.fit import Normal
 from fem.reduced.judge import judge
 from fem.reduced.reduction import Body
+from fem.solver.quasistatic import QuasiStatic
 
 
 def test_points_are_found_that_alone_make_up_the_sum():
@@ -75,6 +77,36 @@ def test_other_frames_are_judged_by_quasi_static_runs(built):
     dataset, model, _ = built
     verdict = judge(ReducedStepper(model), dataset, [("train", 1)], interval=0.1)
     assert 0 < verdict.error < 0.1
+
+
+def test_the_error_of_a_force_that_no_mode_has_seen_is_estimated(built):
+    dataset, model, _ = built
+    mesh, stepper, indicator = dataset.fem_mesh, ReducedStepper(model), ErrorIndicator(model)
+    seen = dataset.sequence("train", 1)
+    for force in seen.force[1:]:
+        indicator(force, stepper.step(force, 0.2), 0.2)
+    usual = indicator.missing
+    force = np.zeros((mesh.n_nodes, 3), "float32")
+    pushed = np.unique(model.force)
+    force[pushed, 2] = 1e-2 * (-1.0) ** np.arange(len(pushed))
+    solver = QuasiStatic(mesh, dataset.material)
+    solver.advance(0.01, lambda t: 1e-3 * force.T.astype(float))
+    for one in (stepper, indicator):
+        one.reset()
+    answer = stepper.step(force, 0.01)
+    estimate = indicator(force, answer, 0.01)
+    error = np.linalg.norm(answer - 1e3 * solver.u.T)
+    assert usual < 0.3 < 1 < indicator.missing and not indicator.carried
+    assert estimate == pytest.approx(error, rel=0.1)
+
+
+def test_of_forces_elsewhere_nothing_is_known(built):
+    dataset, model, _ = built
+    mesh, indicator = dataset.fem_mesh, ErrorIndicator(model)
+    force = np.zeros((mesh.n_nodes, 3), "float32")
+    force[np.setdiff1d(np.flatnonzero(~mesh.fixed), model.force)[0], 2] = -0.1
+    assert indicator(force, np.zeros_like(force), 0.2) == np.inf
+    assert indicator.missing == np.inf and not indicator.carried
 
 
 def test_what_is_learned_from_is_not_judged_by(tiny_dataset):

@@ -40,10 +40,13 @@ def test_modes_are_those_of_the_decomposition_of_all_snapshots_and_images(block,
     parts = body.free.fold(rows)
     both = np.concatenate([np.linalg.svd(part)[1] for part in parts])
     expected = np.sort(both)[::-1]
-    modes, left = snapshots.modes(range(8), 10)
+    decomposition = snapshots.decomposition(range(8))
+    modes = decomposition.modes(10)
     assert sum(phi.shape[1] for phi in modes) == 10
     lost = np.sqrt(np.sum(expected[10:] ** 2) / np.sum(expected**2))
-    assert left == pytest.approx(lost, rel=1e-3)
+    assert decomposition.left_out(10) == pytest.approx(lost, rel=1e-3)
+    assert decomposition.count(1.001 * decomposition.left_out(10)) == 10
+    assert decomposition.count(0.999 * decomposition.left_out(10)) == 11
     for part, Q, phi in zip(parts, snapshots.bases, modes, strict=True):
         shape = Q @ phi
         assert np.allclose(shape.T @ shape, np.eye(phi.shape[1]), atol=1e-5)
