@@ -22,7 +22,7 @@ def from_table(table: dict[str, Any], where: str = "material") -> Hyperelastic:
     if not isinstance(table, dict):
         raise InputError(f"'{where}' must be a table, not {table!r}")
     kind = table.get("kind", DEFAULT)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         near = difflib.get_close_matches(str(kind), KINDS, n=1, cutoff=0.0)[0]
         raise InputError(
             f"{where}.kind = {kind!r} is not one of {', '.join(map(repr, KINDS))}; the nearest is"

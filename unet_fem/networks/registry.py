@@ -211,7 +211,7 @@ NETWORKS = {
 
 def network(kind: str) -> Network:
     """The row of `kind`. Raises InputError for an unknown one."""
-    if kind not in NETWORKS:
+    if not isinstance(kind, str) or kind not in NETWORKS:
         raise InputError(f"model.kind = {kind!r} is not one of {', '.join(NETWORKS)}")
     return NETWORKS[kind]
 
