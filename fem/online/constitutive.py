@@ -12,6 +12,7 @@ fem.online.reduced, in whose file s and N stand beside the arrays of the reduced
     gain (R,)              s
     N<b> (R_b, 9 k)        of the stresses of k points a side, left and right folded as T is
     V<b> (R_b, R_b)        see fem.online.retissue; not in every file
+    guard (4,)             see unet_fem.runtime.guard; not in every file
     effort (2,)            a frame whose last step is longer than effort[0] |a| gets another
                            evaluation, up to effort[1] of them
 
@@ -169,10 +170,12 @@ def learned_of(
     if missing:
         raise InputError(f"{path} holds no {missing[0]}: no network was trained on it; {REMEDY}")
     shares = [f"V{b}" for b in range(len(model.blocks)) if f"V{b}" in arrays]
-    learned = {name: arrays[name] for name in names + shares}
+    guard = ["guard"] if "guard" in arrays else []
+    learned = {name: arrays[name] for name in names + shares + guard}
     columns = learned["N0"].shape[-1]
     shapes: dict[str, tuple] = {"gain": (model.modes,), "effort": (2,)}
     shapes |= {f"N{b}": (len(block.M), columns) for b, block in enumerate(model.blocks)}
+    shapes |= dict.fromkeys(guard, (4,))
     shapes |= {name: (len(model.blocks[b].M),) * 2 for b, name in enumerate(shares)}
     for name, shape in shapes.items():
         found = learned[name]

@@ -7,6 +7,7 @@ the learned arrays, and what its guard goes by.
 """
 
 import io
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.retissue import with_tissue
 from fem.online.stepper import State, Stepper, check_interval
+from unet_fem.runtime.guard import Guard
 from unet_fem.runtime.rates import rates
 from unet_fem.runtime.surrogate import Surrogate
 
@@ -38,7 +40,10 @@ class ConstitutiveSurrogate:
     step was longer than `share` of |a| gets another evaluation, up to `most`; the file's own if
     None; (1, 1) is always one.
 
-    After each step: `a` (R,) its coordinates in mm, and `evaluations`.
+    After each step: `a` (R,) its coordinates in mm, `evaluations`, and where the file has a guard
+    `bound`, a share of the displacement that the error of nine of ten frames like those of training
+    does not exceed, and `flagged` with its `reason` where nobody vouches for the answer. The first
+    time that it is flagged there is also a RuntimeWarning.
     """
 
     def __init__(
@@ -68,6 +73,10 @@ class ConstitutiveSurrogate:
         self._in["bulk"]()[:] = bulk_of(self.model.law)
         self._prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
         self._dt: float | None = None
+        weights = self._learned.get("guard")
+        self._guarded = weights is not None
+        self.guard = Guard(self.model, np.zeros(4) if weights is None else weights)
+        self._warned = False
 
     def _open(self, graph):
         self._graph = graph
@@ -92,6 +101,7 @@ class ConstitutiveSurrogate:
         for name in (*MEMORY, "given", "again"):
             self._in[name]()[:] = 0
         self.a, self.evaluations = np.zeros(self.model.modes, "float32"), 0
+        self.guard.reset()
 
     def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
         """Displacement in mm, float32, dt seconds after the call before, under `force` in mN that
@@ -113,7 +123,29 @@ class ConstitutiveSurrogate:
         for into, out in self._moves:
             np.copyto(into(), out())
         self.a = self._a()[0].copy()
+        if self._guarded:
+            linear = self.a - self._in["correction"]()[0]
+            size, step = float(self.a @ self.a) ** 0.5, float(self._signs()[0, 1])
+            self.guard(self.fields, linear, step, size, float(dt))  # type: ignore[arg-type]
+        if self.flagged and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"do not trust this displacement: {self.guard.reason} (said once; see `flagged`"
+                " after each step)",
+                RuntimeWarning,
+                stacklevel=2,
+            )
         return self.fields.placed(self._u()[0], layout)
+
+    @property
+    def bound(self) -> float:
+        """Of the last frame."""
+        return self.guard.bound
+
+    @property
+    def flagged(self) -> bool:
+        """Of the last frame."""
+        return bool(self.guard.reason)
 
     def set_material(
         self,
@@ -153,18 +185,21 @@ class ConstitutiveSurrogate:
 
     def state(self) -> State:
         """All that the next answer depends on: stress history, creep filter, last correction."""
-        return {name: self._in[name]()[0].copy() for name in MEMORY}
+        found = {name: self._in[name]()[0].copy() for name in MEMORY}
+        return found | {f"guard_{name}": v for name, v in self.guard.memory.state().items()}
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
-        wanted = {name: self._in[name]()[0].shape for name in MEMORY}
+        wanted = {name: values.shape for name, values in self.state().items()}
         found = {name: np.shape(values) for name, values in state.items()}
         if found != wanted or not all(np.isfinite(values).all() for values in state.values()):
             raise InputError(
                 "the state is of another stepper; restore what state() of the same stepper gave"
             )
-        for name, values in state.items():
-            self._in[name]()[0] = values
+        for name in MEMORY:
+            self._in[name]()[0] = state[name]
+        kept = {k.removeprefix("guard_"): v for k, v in state.items() if k.startswith("guard_")}
+        self.guard.memory.restore(kept)
 
 
 def place(value: np.ndarray, into: np.ndarray) -> None:
