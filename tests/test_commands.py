@@ -44,6 +44,10 @@ COMMANDS = {
     ],
     "tools/benchmark.py": [(["runs/none"], "runs/none")],
     "tools/benchmark_fem.py": [],
+    "tools/constitutive.py": [
+        (["none.h5", "none.npz", "out"], "none.h5"),
+        (["none.h5", "none.npz", "out", "--coarse", "0"], "--coarse 0"),
+    ],
     "tools/draw_contacts.py": [(["none.toml", "a.png"], "none.toml")],
     "tools/export.py": [(["none.h5", "out"], "none.h5")],
     "tools/force_ranges.py": [

@@ -34,7 +34,7 @@ from fem.online.reduced_model import FORMAT, ReducedModel
 
 KRYLOV = 3  # conjugate residuals a step
 TRUST = 0.5  # a step is at most TRUST (|a| + 1 mm) long
-REMEDY = "train one with python -m unet_fem.train configs/constitutive.toml"
+REMEDY = "train one with python tools/constitutive.py"
 
 
 def bulk_of(law: Hyperelastic) -> np.ndarray:

@@ -10,7 +10,6 @@ from fem.contact.push import Load
 from fem.contact.surface import surface_of
 from fem.data.dataset import Dataset
 from fem.data.interaction import Frame, simulate_frames, stacked
-from fem.online.reduced import ReducedStepper
 from fem.solver.quasistatic import QuasiStatic
 
 
@@ -26,13 +25,14 @@ class Verdict(NamedTuple):
 
 
 def judge(
-    stepper: ReducedStepper,
+    stepper: Any,
     dataset: Dataset,
     which: Iterable[tuple[str, int]],
     interval: float | None = None,
 ) -> Verdict:
-    """The Verdict over some interactions (split, number) of a dataset, at its own frames; or at
-    frames of `interval` s, against quasi-static simulations of the same contacts."""
+    """The Verdict of a Stepper that counts its `evaluations` over some interactions (split, number)
+    of a dataset, at its own frames; or at frames of `interval` s, against quasi-static simulations
+    of the same contacts."""
     dt = interval or float(dataset.time[1] - dataset.time[0])
     errors, sizes, spent, evaluations = [], [], [], 0
     for split, number in which:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fem.material.base import bulk_modulus
+from fem.material.base import Hyperelastic, bulk_modulus
 from fem.material.neo_hooke import NeoHooke
 from fem.mesh.hexmesh import HexMesh
 from fem.online.fields import Fields
@@ -15,11 +15,11 @@ OTHER = 0.3  # a Poisson ratio to take the difference with; the stiffness is lin
 
 
 def volumetric_share(
-    model: ReducedModel, mesh: HexMesh, material: NeoHooke
+    model: ReducedModel, mesh: HexMesh, material: Hyperelastic
 ) -> dict[str, np.ndarray]:
     """{"V0", ...}: K_r^-1 K_v (R_b, R_b) float32 of each parity, see fem.online.retissue; nothing
-    for tissue that differs from cell to cell."""
-    if np.ndim(material.mu) or np.ndim(material.nu):
+    for tissue that differs from cell to cell, and for other laws."""
+    if not isinstance(material, NeoHooke) or np.ndim(material.mu) or np.ndim(material.nu):
         return {}
     fields = Fields(model)
     units = np.eye(model.modes, dtype=np.float32)

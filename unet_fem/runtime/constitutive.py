@@ -27,7 +27,7 @@ from unet_fem.runtime.surrogate import Surrogate
 
 MEMORY = ("history", "slow", "correction")
 RATES = ("c", "past", "advance", "creep", "remembered")
-REMEDY = "make it again with python tools/quantize.py runs/<name>"
+REMEDY = "make it again with python tools/constitutive.py"
 
 
 FORMAT = "unet-fem constitutive 1"
@@ -186,7 +186,8 @@ class ConstitutiveSurrogate:
     def state(self) -> State:
         """All that the next answer depends on: stress history, creep filter, last correction."""
         found = {name: self._in[name]()[0].copy() for name in MEMORY}
-        return found | {f"guard_{name}": v for name, v in self.guard.memory.state().items()}
+        kept = self.guard.memory.state() | {"astray": np.array(self.guard.astray)}
+        return found | {f"guard_{name}": values for name, values in kept.items()}
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
@@ -199,6 +200,7 @@ class ConstitutiveSurrogate:
         for name in MEMORY:
             self._in[name]()[0] = state[name]
         kept = {k.removeprefix("guard_"): v for k, v in state.items() if k.startswith("guard_")}
+        self.guard.astray = bool(kept.pop("astray"))
         self.guard.memory.restore(kept)
 
 

@@ -31,6 +31,7 @@ class Guard:
     def reset(self) -> None:
         """No force in the past."""
         self.memory.reset()
+        self.astray = False
         self.bound, self.reason, self.features = 0.0, "", np.zeros(4)
 
     def __call__(
@@ -44,8 +45,8 @@ class Guard:
         self.features = np.array([1.0, missing, step, size])
         parts_of_bound = self.weights * self.features
         self.bound, self.reason = float(parts_of_bound.sum()), ""
-        if not fields.carried:
-            self.bound = np.inf
+        if self.astray or not fields.carried:  # what comes after has a wrong past
+            self.astray, self.bound = True, np.inf
             self.reason = "some of the force stands where no contact of the data pushes"
         elif not self.bound <= ALARM:
             self.reason = (

@@ -187,11 +187,11 @@ class Recipe:
     """steps of Adam on `batch` interactions by `window` frames; learning_rate: its peak, after a
     tenth of the steps; every: steps from one judgement to the next."""
 
-    steps: int = 600
-    batch: int = 32
-    window: int = 10
-    learning_rate: float = 3e-5
-    every: int = 100
+    steps: int = 300
+    batch: int = 16
+    window: int = 5
+    learning_rate: float = 2e-5
+    every: int = 50
     seed: int = 0
 
 

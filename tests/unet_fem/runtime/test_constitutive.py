@@ -8,10 +8,12 @@ from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
 from fem.online.constitutive import ConstitutiveStepper, load_constitutive, save_constitutive
+from fem.online.creep import Creep
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import Block, ReducedModel
 from fem.online.retissue import with_tissue
 from fem.online.stepper import Stepper
+from unet_fem.deployment.conformal import guard_weights
 from unet_fem.deployment.constitutive_graph import export_constitutive
 from unet_fem.networks.constitutive import ConstitutiveCell, Rates
 from unet_fem.runtime.constitutive import ConstitutiveSurrogate, write_constitutive
@@ -21,6 +23,8 @@ from unet_fem.steppers import open_stepper
 PRONY = ((0.12, 330.0), (0.8, 11.0))
 SIZES, SEEN, POINTS, COARSE, NODES, FORCED = (7, 5), (5, 4), 12, 4, 30, 9
 INTERVALS = (0.25, 0.25, 0.01, 1.0, 0.25)  # s
+
+pytestmark = pytest.mark.filterwarnings("ignore:do not trust")  # random forces
 
 
 def random_model(sides, prony=PRONY, per_point=False):
@@ -66,6 +70,7 @@ def make(folder, **options):
     }
     cell.learn(learned)
     learned["effort"] = np.array([1.0, 1.0])
+    learned["guard"] = np.array([0.01, 1.0, 1.0, 0.0])
     for b, R in enumerate(SIZES[: len(model.blocks)]):
         learned[f"V{b}"] = (0.02 * rng.standard_normal((R, R))).astype("float32")
     files = {kind: Path(folder, f"net.{kind}") for kind in ("npz", "tflite")}
@@ -242,3 +247,54 @@ def test_tissue_that_the_graph_cannot_hold_is_refused(mirrored):
         surrogate.set_material(prony=((0.1, 1.0), (0.1, 2.0), (0.1, 3.0)))
     with pytest.raises(InputError, match="must be positive"):
         surrogate.set_material(mu=-1.0)
+
+
+def flagged_of(surrogate, force):
+    """The reason that a step under `force` is flagged for."""
+    surrogate.step(force, 0.25)
+    return surrogate.guard.reason
+
+
+def test_a_force_where_no_contact_pushes_is_flagged_until_the_reset(mirrored):
+    _, model, files = mirrored
+    surrogate, force = ConstitutiveSurrogate(files["tflite"]), np.zeros((NODES, 3))
+    force[np.setdiff1d(np.arange(NODES), model.force)[0]] = 0.1
+    assert "no contact" in flagged_of(surrogate, force) and surrogate.bound == np.inf
+    state = surrogate.state()
+    assert "no contact" in flagged_of(surrogate, 0 * force)
+    surrogate.reset()
+    assert not flagged_of(surrogate, 0 * force)
+    surrogate.restore(state)
+    assert surrogate.flagged is False and "no contact" in flagged_of(surrogate, 0 * force)
+
+
+def test_the_bound_counts_what_the_modes_miss_of_forces_now_and_past(mirrored):
+    _, model, files = mirrored
+    surrogate = ConstitutiveSurrogate(files["tflite"])
+    force = np.zeros((NODES, 3))
+    force[model.force.ravel()] = forces(1, 0.01)[0][model.force.ravel()]
+    with pytest.warns(RuntimeWarning, match="none that the data's contacts make"):
+        surrogate.step(force, 0.25)
+    lost = np.concatenate(
+        [b.missing @ f for b, f in zip(model.blocks, surrogate.fields.folded, strict=True)]
+    )
+    linear = surrogate.a - surrogate.state()["correction"]
+    missing = np.linalg.norm(lost) / np.linalg.norm(linear)
+    grown = Creep.of(PRONY)(0.25)  # of what is missed, at most, for the force came slowly
+    assert 1 <= surrogate.guard.features[1] / missing <= grown
+    flagged_of(surrogate, 0 * force)
+    assert surrogate.guard.features[1] > 0.1  # it is not forgotten with the force
+
+
+def test_the_guard_covers_nine_of_ten_frames_like_those_it_was_fitted_to():
+    rng = np.random.default_rng(0)
+
+    def draw(count):
+        features = np.abs(rng.standard_normal((count, 4))) * [0, 1e-3, 5e-3, 5.0] + [1, 0, 0, 0]
+        errors = np.abs(rng.standard_normal(count)) * (features @ [1e-3, 1.0, 0.3, 2e-4])
+        return features, errors
+
+    weights = guard_weights(*draw(2000))
+    features, errors = draw(2000)
+    assert 0.87 < np.mean(errors <= features @ weights) < 0.93
+    assert (weights >= 0).all() and weights[1] > 0
