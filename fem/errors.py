@@ -6,6 +6,9 @@ from enum import StrEnum
 class InputError(ValueError):
     """Bad input: the message is one line that names the value and the remedy."""
 
+    def __str__(self) -> str:
+        return super().__str__().replace("\n", " ")  # of a value that has line breaks
+
 
 class Stop(StrEnum):
     """Why a simulation ended early, or was not fit to learn from; `remedy` says what helps."""

@@ -97,13 +97,42 @@ def read_interaction(
             f"{path} cannot be read as HDF5; delete it and generate it again"
         ) from None
     with file:
-        rows = np.flatnonzero(file["split"][()] == b"test")
-        numbers = file["number"][()][rows]
-        number = numbers[0] if number is None else number
-        if number not in numbers:
+        try:
+            return _interaction(file, path, number)
+        except InputError:
+            raise
+        # h5py fails in many ways on what is damaged
+        except (
+            KeyError,
+            OSError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            IndexError,
+        ) as error:
             raise InputError(
-                f"{path} has no test interaction {number};"
-                f" it has {numbers.min()} to {numbers.max()}"
-            )
-        row = rows[list(numbers).index(number)]
-        return int(number), file["time"][()], file["force"][row], file["displacement"][row]
+                f"{path} is damaged ({error}); delete it and generate it again"
+            ) from None
+
+
+def _interaction(file, path, number):
+    """`read_interaction` of an open file, which must hold all itself."""
+    for name in ("split", "number", "time", "force", "displacement"):
+        linked = "Soft" in str(file.get(name, getlink=True)) or file[name].file != file
+        if linked or file[name].external or file[name].is_virtual:
+            raise InputError(f"'{name}' of {path} lies in another file or place; it is not read")
+    rows = np.flatnonzero(file["split"][()] == b"test")
+    numbers = file["number"][()][rows]
+    number = numbers[0] if number is None else number
+    if number not in numbers:
+        raise InputError(
+            f"{path} has no test interaction {number}; it has {numbers.min()} to {numbers.max()}"
+        )
+    row = rows[list(numbers).index(number)]
+    times, force, displacement = file["time"][()], file["force"][row], file["displacement"][row]
+    if not (np.diff(times) > 0).all() or not (
+        np.isfinite(force).all() and np.isfinite(displacement).all()
+    ):
+        raise InputError(f"{path} is damaged: interaction {number} is not finite or not in order")
+    return int(number), times, force, displacement
