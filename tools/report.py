@@ -21,7 +21,7 @@ from fem.errors import InputError
 from fem.files import vet_output
 from unet_fem.study.runs import CommandFailed, deploy, make_long_data, train_networks
 from unet_fem.study.settings import load_study
-from unet_fem.study.stages import STAGES, run_stage, stage_file
+from unet_fem.study.stages import STAGES, check_needed, run_stage, stage_file
 
 STUDY, QUICK = Path("configs/study.toml"), Path("configs/study_quick.toml")
 
@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except CommandFailed as failed:
         print(failed, file=sys.stderr)
         sys.exit(failed.code)
+    check_needed(results)
     from unet_fem.study.report import page  # not above: it brings TensorFlow and matplotlib
 
     readme = Path("README.md") if study.name == STUDY.stem and out == Path("docs") else None

@@ -80,6 +80,8 @@ STAGES = {  # a stage is the module of unet_fem.study.measure with run(study)
     ),
 }
 
+NEEDED = ("reference", "fixed_latency", "accuracy", "run_time")
+
 
 def stage_key(study: Study, name: str) -> str:
     """Of all that the figures of stage `name` depend on."""
@@ -91,6 +93,16 @@ def stage_key(study: Study, name: str) -> str:
         settings["main"] = [(main.label, main.run) for main in study.main]
     versions = [STAGES[used].version for used in (*stage.uses, name)]
     return key((name, settings), [study.data, *stage.files(study)], versions)
+
+
+def check_needed(results: dict[str, dict]) -> None:
+    """Raises InputError where a stage is missing that no page can do without."""
+    for name in NEEDED:
+        if name not in results:
+            raise InputError(
+                f"stage '{name}' is not measured, and no page can do without it;"
+                " run the command without --draw"
+            )
 
 
 def stage_file(study: Study, name: str) -> Path:

@@ -31,19 +31,12 @@ from unet_fem.training.style import save
 
 TEMPLATES = Path("docs/templates")
 BEGIN, END = "<!-- results: written by tools/report.py -->", "<!-- end of results -->"
-NEEDED = ("reference", "fixed_latency", "accuracy", "run_time")  # stages without which no page
 
 
 def write(study: Study, results: dict[str, dict], out: Path, readme: Path | None = None) -> Path:
     """Write <out>/results.md, the figures and the measurements behind both under <out>/results/,
     and between the markers of `readme` its part. Returns the page's path. Raises InputError where
-    the templates, the markers or a stage that every page needs are missing."""
-    for name in NEEDED:
-        if name not in results:
-            raise InputError(
-                f"stage '{name}' is not measured, and no page can do without it;"
-                " run the command without --draw"
-            )
+    the templates or the markers are missing."""
     physics = statistics.physics(study, results["accuracy"])
     text = render(study, results, physics)
     folder = out / "results"
