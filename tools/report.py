@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         results = {}
         for name in STAGES:
             read = options.draw or bool(options.only) and name not in options.only
-            if read and not stage_file(study, name).is_file():
+            if read and options.only and not stage_file(study, name).is_file():
                 continue  # the page says so
             results[name] = run_stage(study, name, name in options.again, only_read=read)
     except CommandFailed as failed:

@@ -40,10 +40,7 @@ def write(study: Study, results: dict[str, dict], out: Path, readme: Path | None
     the templates, the markers or a stage that every page needs are missing."""
     for name in NEEDED:
         if name not in results:
-            raise InputError(
-                f"stage '{name}' is not measured, and no page can do without it;"
-                " run the command without --draw"
-            )
+            raise InputError(f"stage '{name}' is not measured; no page can do without it")
     physics = statistics.physics(study, results["accuracy"])
     text = render(study, results, physics)
     folder = out / "results"
