@@ -124,8 +124,6 @@ def committed():
 def test_the_committed_page_and_readme_are_what_their_measurements_give(monkeypatch):
     monkeypatch.chdir(ROOT)
     study, results = committed()
-    if "subsets" not in results["accuracy"]:
-        pytest.skip("the committed measurements are of the former mesh, in a former form")
     assert (ROOT / "docs/results.md").read_text() == rendered(study, results)
     text = (ROOT / "README.md").read_text()
     assert page.between_markers(text, rendered(study, results, "readme.md.j2")) == text

@@ -13,7 +13,14 @@ from unet_fem.training.style import ALERT, styled, subplots
 QUESTION = "Which answer follows the FEM of this mesh best in so much time?"
 RATES = {"1 kHz": 1e-3, "100 Hz": 1e-2, "30 Hz": 1 / 30}  # s a frame
 PALETTES = {  # kind of a competitor: (colour, marker) of its families, in order
-    "FEM": (("#0072B2", "D"), ("#56B4E9", "v"), ("#5D5D5D", "*"), ("#003B5C", "s")),
+    "FEM": (
+        ("#0072B2", "D"),
+        ("#56B4E9", "v"),
+        ("#5D5D5D", "*"),
+        ("#003B5C", "s"),
+        ("#A9A9A9", "P"),
+        ("#7A9CC6", "h"),
+    ),
     "regression": (("#E69F00", "s"), ("#8C6D1F", "P"), ("#C9A227", "p"), ("#5C4A1F", "d")),
     "network": (
         ("#D55E00", "^"),
