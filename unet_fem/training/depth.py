@@ -12,8 +12,10 @@ def node_distance(dataset: Dataset, a: np.ndarray, b: np.ndarray | float = 0.0) 
 
 
 def normalised_depth(dataset: Dataset) -> np.ndarray:
-    """0 in the loaded layer of the grid, 1 in the deepest, for every free node (n,)."""
-    return 1 - np.argwhere(dataset.free)[:, 2] / (dataset.grid[2] - 1)
+    """0 in the highest layer of the grid that holds material, 1 in the deepest, for every free node
+    (n,)."""
+    layers = np.flatnonzero(dataset.mask.any(axis=(0, 1)))
+    return (layers[-1] - np.argwhere(dataset.free)[:, 2]) / (layers[-1] - layers[0])
 
 
 def by_depth(dataset: Dataset, field: np.ndarray, truth: np.ndarray) -> dict[str, list]:

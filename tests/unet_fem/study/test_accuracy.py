@@ -25,7 +25,7 @@ from unet_fem.study.report import bars, sections
 from unet_fem.study.runs import KERAS
 from unet_fem.study.settings import Fem
 from unet_fem.study.steppers import Competitor, followed, networks, remembering
-from unet_fem.training.depth import by_depth
+from unet_fem.training.depth import by_depth, normalised_depth
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import InputChoice
 
@@ -215,6 +215,16 @@ def test_error_by_depth_is_that_of_the_layer(tiny_dataset):
     found = by_depth(dataset, wrong, truth)
     assert found["depth"][0] == 0 and found["mean_mm"][0] == pytest.approx(0.5, rel=1e-5)
     assert found["mean_mm"][1:] == pytest.approx([0] * (len(found["depth"]) - 1))
+
+
+def test_depth_begins_at_the_loaded_surface_whatever_is_void_above_it():
+    """Bug: on the published mesh, whose grid has a void layer above, it began at 1/7."""
+    mask = np.ones((3, 3, 8), bool)
+    mask[:, :, 7] = False
+    free = mask.copy()
+    free[:, :, 0] = False
+    depth = normalised_depth(SimpleNamespace(mask=mask, free=free, grid=mask.shape))
+    np.testing.assert_allclose(np.unique(depth.round(6)), np.arange(6) / 6, atol=1e-6)
 
 
 def test_judged_sums_give_the_errors_and_a_bad_answer_is_refused(unseen_dataset):
