@@ -33,6 +33,7 @@ from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import FORMAT, ReducedModel
 
 KRYLOV = 3  # conjugate residuals a step
+TINY = 1e-7  # mm2, where nothing is out of balance
 TRUST = 0.5  # a step is at most TRUST (|a| + 1 mm) long
 REMEDY = "train one with python tools/constitutive.py"
 
@@ -111,7 +112,7 @@ class ConstitutiveStepper(ReducedStepper):
             for y, p, square in done:
                 share = (q @ p) / square
                 z, q = z - share * y, q - share * p
-            square = q @ q + np.float32(1e-12)
+            square = q @ q + np.float32(TINY)
             share = (rest @ q) / square
             step, rest = step + share * z, rest - share * q
             done.append((z, q, square))

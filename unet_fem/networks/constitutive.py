@@ -22,7 +22,7 @@ import keras
 import numpy as np
 from keras import ops
 
-from fem.online.constitutive import KRYLOV, TRUST, bulk_of
+from fem.online.constitutive import KRYLOV, TINY, TRUST, bulk_of
 from fem.online.reduced_model import ReducedModel
 
 
@@ -263,12 +263,13 @@ class ConstitutiveCell(keras.layers.Layer):
             z = limited(rest, a)  # the law is not defined at what a runaway r gives
             q = z - self.coarse_residual(z, H, stress.P, frame)
             for y, p, square in done:
-                share = dot(q, p) / square
-                z, q = z - share * y, q - share * p
-            square = dot(q, q) + 1e-12
-            share = dot(rest, q) / square
+                share = 100 * dot(q, p) / square
+                z, q = z - share * y, q - share * 0.01 * p
+            p = 100 * q  # or TINY would be nothing in float16
+            square = dot(p, p) + 1e4 * TINY
+            share = 100 * dot(rest, p) / square
             step, rest = step + share * z, rest - share * q
-            done.append((z, q, square))
+            done.append((z, p, square))
         return step + rest, r, stress
 
     def coarse_residual(self, step: Any, H: Any, P: Any, frame: Frame) -> Any:
@@ -298,9 +299,10 @@ class ConstitutiveCell(keras.layers.Layer):
         for _ in range(evaluations):
             step, r, stress = self.step(a, frame)
             step = limited(step, a)
-            first = norm(r) if first is None else first
+            first = dot(r, r) if first is None else first
             a = a + step
-        signs = ops.concatenate([first, norm(step)], axis=1) / (norm(a) + 1e-3)
+        signs = ops.concatenate([first, dot(step, step)], axis=1)
+        signs = ops.sqrt(signs) / (norm(a) + 1e-3)
         history = self.remember(memory, second_stress(stress), a, rates)
         return a, Memory(history, slow, a - linear), signs
 
@@ -337,8 +339,9 @@ def dot(u: Any, v: Any) -> Any:
 
 
 def norm(a: Any) -> Any:
-    """(B, 1) Euclidean."""
-    return ops.sqrt(ops.sum(a * a, axis=1, keepdims=True) + 1e-12)
+    """(B, 1) Euclidean, never zero."""
+    a = 100 * a  # or TINY would be nothing in float16
+    return 0.01 * ops.sqrt(dot(a, a) + 1e4 * TINY)
 
 
 def limited(step: Any, a: Any) -> Any:

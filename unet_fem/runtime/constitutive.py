@@ -66,6 +66,7 @@ class ConstitutiveSurrogate:
         if not (0 < share <= 1 and most >= 1):
             raise InputError(f"effort = {(share, most)} must be a share up to 1 and at least 1")
         self.share, self.most = float(share), int(most)
+        self._bulk = bulk_of(self.model.law)  # of the data
         self._take_tissue()
         self.reset()
 
@@ -75,7 +76,8 @@ class ConstitutiveSurrogate:
         self._dt: float | None = None
         weights = self._learned.get("guard")
         self._guarded = weights is not None
-        self.guard = Guard(self.model, np.zeros(4) if weights is None else weights)
+        stretched = float(np.abs(np.log(bulk_of(self.model.law) / self._bulk)).max())
+        self.guard = Guard(self.model, np.zeros(4) if weights is None else weights, stretched)
         self._warned = False
 
     def _open(self, graph):
@@ -125,7 +127,7 @@ class ConstitutiveSurrogate:
         self.a = self._a()[0].copy()
         if self._guarded:
             linear = self.a - self._in["correction"]()[0]
-            size, step = float(self.a @ self.a) ** 0.5, float(self._signs()[0, 1])
+            size, step = float(np.abs(self._u()).max()) ** 3, float(self._signs()[0, 1])
             self.guard(self.fields, linear, step, size, float(dt))  # type: ignore[arg-type]
         if self.flagged and not self._warned:
             self._warned = True

@@ -298,3 +298,28 @@ def test_the_guard_covers_nine_of_ten_frames_like_those_it_was_fitted_to():
     features, errors = draw(2000)
     assert 0.87 < np.mean(errors <= features @ weights) < 0.93
     assert (weights >= 0).all() and weights[1] > 0
+
+
+def test_float16_weights_answer_alike_and_stand_still_without_a_force(mirrored, tmp_path):
+    cell, model, files = mirrored
+    learned = load_constitutive(files["npz"])[1]
+    path = tmp_path / "half.tflite"
+    write_constitutive(path, export_constitutive(cell, model, "float16"), model.arrays() | learned)
+    half = ConstitutiveSurrogate(path, 0.25)
+    assert not half.step(np.zeros((NODES, 3))).any()
+    half.reset()
+    wanted = coordinates(ConstitutiveSurrogate(files["tflite"]))
+    np.testing.assert_allclose(coordinates(half), wanted, atol=2e-3 * np.abs(wanted).max())
+    with pytest.raises(InputError, match="not one of"):
+        export_constitutive(cell, model, "int4")
+
+
+def test_a_tissue_far_from_the_datas_is_flagged(mirrored):
+    surrogate = ConstitutiveSurrogate(mirrored[2]["tflite"], 0.25)
+    law = surrogate.model.law
+    surrogate.set_material(K=2 * law.K)
+    surrogate.step(np.zeros((NODES, 3)))
+    assert "far from the data's" in surrogate.guard.reason
+    surrogate.set_material(K=1.05 * law.K)
+    surrogate.step(np.zeros((NODES, 3)))
+    assert not surrogate.flagged
