@@ -1,11 +1,12 @@
 """Latency of trained runs at batch 1, in every form they can be deployed in, beside the FEM.
 
-    python tools/benchmark.py runs/<name> [runs/<other> ...] [--threads 1] [--rounds 300] [--out
-    docs/benchmark]
+    python tools/benchmark.py runs/<name> [runs/<other> ...] [--beside reduced.npz network.tflite]
+    [--threads 1] [--rounds 300] [--out docs/benchmark]
 
 Every figure is of one process in which the variants take turns, all with the same number of
-threads: Keras call, tf.function, each .tflite (made by tools/quantize.py), and the FEM per frame of
-10 ms. Prints Markdown; --out writes .md and .json.
+threads: Keras call, tf.function, each .tflite (made by tools/quantize.py), the FEM per frame of 10
+ms, and the files of other answers, such as the reduced solver and the constitutive network. Prints
+Markdown; --out writes .md and .json.
 """
 
 import argparse
@@ -27,6 +28,14 @@ def main(arguments=None):
     )
     parser.add_argument(
         "runs", nargs="+", type=Path, help="folders of training runs, such as runs/quick"
+    )
+    parser.add_argument(
+        "--beside",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="also time these files of answers, such as data/wide_reduced.npz",
     )
     parser.add_argument("--threads", type=int, default=1, help="of every variant (default: 1)")
     parser.add_argument(
@@ -55,15 +64,20 @@ def main(arguments=None):
                 f"{settings.folder} has no int8.tflite to soak; make it with"
                 f" python tools/quantize.py {settings.folder}, or leave --soak out"
             )
+    for path in options.beside:
+        if not path.is_file():
+            raise InputError(f"--beside {path} is no file; make it, or leave it out")
     # all is vetted: now TensorFlow may be imported, which takes seconds
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from unet_fem.deployment.benchmark import benchmark, markdown
 
-    result = benchmark(runs, options.threads, options.rounds, options.soak)
+    result = benchmark(runs, options.threads, options.rounds, options.soak, options.beside)
     text = markdown(result)
     print(text)
     if out:
         folders = " ".join(map(str, options.runs))
+        if options.beside:
+            folders += " --beside " + " ".join(map(str, options.beside))
         command = (
             f"python tools/benchmark.py {folders}"
             f" --threads {options.threads} --rounds {options.rounds}"

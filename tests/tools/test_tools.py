@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from fem.data.dataset import open_dataset
+from fem.reduce import main as reduce
 from unet_fem.deployment import tflite as lite
 from unet_fem.networks.cnn_lstm import cnn_lstm
 from unet_fem.runtime.surrogate import Surrogate
@@ -141,7 +142,11 @@ def test_zeros_reach_the_share_of_the_convolutions_that_was_asked_for(folder):
 
 @pytest.mark.slow
 def test_benchmark_times_every_form_of_a_run_with_the_same_threads(quantized, folder):
-    printed = alone("benchmark.py", "runs/tiny", "--rounds", "3", "--soak", "200", "--out", "bench")
+    sizes = ["--modes", "6", "--inputs", "6", "--points", "8"]
+    reduce(["tiny.h5", *sizes, "--out", "reduced.npz"])
+    beside = ["--beside", "reduced.npz", "runs/tiny/lite/int8.tflite"]
+    options = ["--rounds", "3", "--soak", "200", "--out", "bench"]
+    printed = alone("benchmark.py", "runs/tiny", *beside, *options)
     result = json.loads(Path("bench.json").read_text())
     variants = ["Keras call", "tf.function", *sorted(lite.VARIANTS)]
     expected = {
@@ -149,6 +154,8 @@ def test_benchmark_times_every_form_of_a_run_with_the_same_threads(quantized, fo
         *(f"tiny: {v}, graph alone" for v in lite.VARIANTS),
         "FEM: full float32, 10 ms",
         "FEM: reduced float32, 10 ms",
+        "beside: reduced.npz",
+        "beside: int8.tflite",
     }
     assert set(result["latency_ms"]) == expected
     assert all(

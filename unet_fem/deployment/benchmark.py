@@ -14,6 +14,7 @@ from unet_fem.deployment.answers import muted
 from unet_fem.deployment.exported import lite_file, lite_files
 from unet_fem.deployment.forms import GRAPH, forms
 from unet_fem.deployment.latency import (
+    FRAME,
     WARM_UP,
     fem_action,
     graph_action,
@@ -24,16 +25,26 @@ from unet_fem.deployment.latency import (
 )
 from unet_fem.deployment.process import resident_mb
 from unet_fem.runtime.surrogate import Surrogate
+from unet_fem.steppers import open_stepper
 from unet_fem.training.settings import Settings
 
 Run = tuple[Settings, Dataset]
+ANSWERS = "beside"  # stands in the place of a run before other answers' files
 
 
-def benchmark(runs: Sequence[Run], threads: int, rounds: int, soak_steps: int = 0) -> dict:
+def benchmark(
+    runs: Sequence[Run],
+    threads: int,
+    rounds: int,
+    soak_steps: int = 0,
+    answers: Sequence[Path] = (),
+) -> dict:
     """The figures of all runs, and of the FEM on the first one's tissue, as one nested dict.
 
-    Every form of a run answers the last frame of the first test interaction. soak_steps > 0 also
-    soaks the int8 file of each.
+    Every form of a run answers the last frame of the first test interaction. answers: files of
+    other steppers, which answer all frames of that of the first run, at 10 ms where they take any
+    interval. soak_steps > 0 also soaks the int8 file of each run. Raises InputError for a file that
+    is no stepper or one of another mesh.
     """
     use_threads(threads)
     steppers, forces, beside, files = {}, {}, {}, {}
@@ -44,6 +55,12 @@ def benchmark(runs: Sequence[Run], threads: int, rounds: int, soak_steps: int = 
         for variant, path in lite_files(settings).items():
             files[settings.name, variant] = path
             beside[settings.name, f"{variant}, graph alone"] = graph_action(path, threads)
+    for path in answers:
+        name = ANSWERS, path.name
+        options = {"threads": threads} if path.suffix == ".tflite" else {}
+        steppers[name], files[name] = open_stepper(path, **options), path
+        forces[name] = runs[0][1].read("test", ("force",), [1])["force"][0]
+        steppers[name].step(forces[name][0], FRAME if steppers[name].interval is None else None)
     for kind in ("full", "reduced"):
         beside["FEM", f"{kind} float32, 10 ms"] = fem_action(runs[0][1], kind)
     times = time_steppers(steppers, forces, rounds, beside=beside)
@@ -72,6 +89,7 @@ def _rows(times, files, threads):
             figures["speed_up"] = paired_ratio(times[run, GRAPH], seconds)
         if (run, form) in files:
             figures["MB"] = files[run, form].stat().st_size / 1e6
+        if (run, form) in files and run != ANSWERS:
             figures["memory_MB"] = peak_memory(files[run, form], threads)
     return rows
 

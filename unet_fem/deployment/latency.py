@@ -24,7 +24,7 @@ from fem.solver.explicit import Solver
 from fem.workers import available_cores
 from unet_fem.deployment.answers import muted
 
-FRAME = 0.010  # s, of the FEM
+FRAME = 0.010  # s, of the FEM and of whatever takes any interval
 WARM_UP = 20  # calls of each before the clock runs
 Name = TypeVar("Name", bound=Hashable)
 LIBRARIES = ("tensorflow", "keras", "ai-edge-litert", "numpy", "scipy")
@@ -71,6 +71,7 @@ def time_steppers(
 
 def _turn(stepper, forces, calls):
     """An action that answers the next `calls` of `forces` (K, ...), to and fro without end."""
+    dt = FRAME if stepper.interval is None else None
     frames = itertools.cycle([*forces, *forces[::-1]])
     period = 2 * len(forces) if len(forces) > 1 else np.inf
     done = 0
@@ -82,7 +83,7 @@ def _turn(stepper, forces, calls):
                 # or tissue would creep on from round to round, farther than any force takes it
                 stepper.reset()
                 done = 0
-            stepper.step(next(frames))
+            stepper.step(next(frames), dt)
             done += 1
         return calls
 
