@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from fem.data.interaction import Frame, simulate_frames, stacked, unfit
+from fem.data.interaction import Frame, health_figures, simulate_frames, stacked, unfit
 from fem.data.scene import Scene
 from fem.errors import SolverStopped, Stop
 from fem.mesh.hexmesh import HexMesh
-from fem.solver.energy import EnergyLedger, FrameBalances, kinetic_share, worst_imbalance
+from fem.solver.energy import EnergyLedger, FrameBalances
 from fem.solver.gate import Gate
 from fem.solver.load_ramp import NodalLoad
 
@@ -30,13 +30,8 @@ def fit_frames(
     try:
         for frame in simulate_frames(solver, load, times, [ledger, balances]):
             frames.append(frame)
-            rows = ledger.rows + balances.rows
-            health = {
-                "imbalance": worst_imbalance(rows),
-                "min_J": ledger.smallest_J,
-                "kinetic_share": kinetic_share(rows),
-            }
-            reason = unfit(scene, frame._asdict() | health | gate.signs._asdict())
+            health = health_figures(ledger, balances, gate)
+            reason = unfit(scene, frame._asdict() | health)
             fit = fit if reason else len(frames)
     except SolverStopped as stop:
         reason = stop.reason

@@ -73,14 +73,22 @@ def simulate(scene: Scene, mesh: HexMesh, contacts: list[Contact], surface: Surf
     solver.gate = gate = Gate(warns=False)  # the data are judged by it
     load = Load(surface, contacts)
     frames = stacked(simulate_frames(solver, load, times, [ledger, balances]))
-    judged = ledger.rows + balances.rows
-    return frames._asdict() | {
-        "energy": balances.at_frames(),
-        "imbalance": worst_imbalance(judged),
+    return (
+        frames._asdict()
+        | {"energy": balances.at_frames()}
+        | health_figures(ledger, balances, gate)
+        | {"steps": solver.steps}
+    )
+
+
+def health_figures(ledger: EnergyLedger, balances: FrameBalances, gate: Gate) -> dict:
+    """What `unfit` judges besides the frames themselves, of a run that these three have watched."""
+    rows = ledger.rows + balances.rows
+    return {
+        "imbalance": worst_imbalance(rows),
         "min_J": ledger.smallest_J,
-        "kinetic_share": kinetic_share(judged),
+        "kinetic_share": kinetic_share(rows),
         **gate.signs._asdict(),
-        "steps": solver.steps,
     }
 
 
