@@ -9,7 +9,7 @@ import tensorflow as tf
 
 from fem.errors import InputError
 from fem.online.reduced_model import ReducedModel
-from unet_fem.deployment.tflite import quiet
+from unet_fem.deployment.tflite import lite_converter, quiet
 from unet_fem.deployment.tflite_graph import audit, parts_of
 from unet_fem.networks.constitutive import ConstitutiveCell, Memory, Rates
 from unet_fem.runtime.rates import rates
@@ -56,12 +56,7 @@ def export_constitutive(
     specs = [tf.TensorSpec(shape, "float32", name=name) for name, shape in shapes.items()]
     with quiet():
         traced = tf.function(frame, input_signature=specs).get_concrete_function()
-        converter = tf.lite.TFLiteConverter.from_concrete_functions([traced])
-        if variant != "float32":
-            converter.optimizations = [tf.lite.Optimize.DEFAULT]
-        if variant == "float16":
-            converter.target_spec.supported_types = [tf.float16]
-        data = converter.convert()
+        data = lite_converter(traced, variant).convert()
         audit(data, "float32")
     return _named(data, sorted(traced.structured_outputs))
 

@@ -57,11 +57,7 @@ def export(model: keras.Model, variant: str, windows: np.ndarray | None = None) 
     signature = [tf.TensorSpec(flat.input_shape, "float32", name="force")]
     with quiet():
         traced = tf.function(flat, input_signature=signature).get_concrete_function()
-        converter = tf.lite.TFLiteConverter.from_concrete_functions([traced])
-        if variant != "float32":
-            converter.optimizations = [tf.lite.Optimize.DEFAULT]
-        if variant == "float16":
-            converter.target_spec.supported_types = [tf.float16]
+        converter = lite_converter(traced, variant)
         data = _calibrated(converter, windows) if variant == "int8" else converter.convert()
         if variant in ("dynamic", "int8"):
             data = quantize_float_weights(data)
@@ -107,6 +103,16 @@ def calibration_windows(
     strongest = np.argsort(np.abs(force).reshape(len(force), -1).max(axis=1))[-half:]
     some = np.random.default_rng(seed).choice(len(force), half, replace=False)
     return np.concatenate([force[np.sort(some)], margin * force[strongest]]).astype("float32")
+
+
+def lite_converter(traced: Any, variant: str) -> tf.lite.TFLiteConverter:
+    """The converter of a concrete function to `variant`, not calibrated yet."""
+    converter = tf.lite.TFLiteConverter.from_concrete_functions([traced])
+    if variant != "float32":
+        converter.optimizations = [tf.lite.Optimize.DEFAULT]
+    if variant == "float16":
+        converter.target_spec.supported_types = [tf.float16]
+    return converter
 
 
 def _calibrated(converter, windows):
