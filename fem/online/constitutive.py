@@ -76,10 +76,8 @@ class ConstitutiveStepper(ReducedStepper):
         if self._bulk.ndim:
             self._bulk = self._bulk[first]
         self._first = first
-        law = model.law.of_cells(first, model.points)
-        self._law = NeoHookePoints(law, len(first))  # type: ignore[arg-type]
+        self._laws = {1: self._coarse_law(1)}  # by how many steps are asked for side by side
         self._A = [b.A.reshape(9, h, -1)[:, :k].reshape(9 * k, -1) for b in model.blocks]
-        self._change = np.empty((3, 3, len(first)), np.float32)
 
     @classmethod
     def open(
@@ -104,49 +102,80 @@ class ConstitutiveStepper(ReducedStepper):
         return a
 
     def _step(self, r, a):
-        """Newton's step z + B z = r from a, where the residual r was last asked for."""
-        step, rest, done = np.zeros_like(r), r, []
+        """Newton's step from a, where the residual r was last asked for."""
+        z, rest = self.newton(r[:, None], a)
+        return (z + rest)[:, 0]
+
+    def newton(self, right: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(z, right - z - B z), (R, q) each: z + B z = right of each of q columns, from a, where
+        the residual was last asked for."""
+        step, rest = np.zeros_like(right), right
+        done: list[tuple[np.ndarray, ...]] = []
         for _ in range(KRYLOV):
             z = limited(rest, a)  # the law is not defined at what a runaway r gives
             q = z - self._coarse_residual(z)
             for y, p, square in done:
-                share = (q @ p) / square
+                share = _dots(q, p) / square
                 z, q = z - share * y, q - share * p
-            square = q @ q + np.float32(TINY)
-            share = (rest @ q) / square
+            square = _dots(q, q) + np.float32(TINY)
+            share = _dots(rest, q) / square
             step, rest = step + share * z, rest - share * q
             done.append((z, q, square))
-        return step + rest
+        return step, rest
 
-    def _coarse_residual(self, r):
-        """What a step r adds to the residual beside - r."""
-        residual, first = self.residual, self._first
+    def _coarse_law(self, count):
+        """The law at the first points, `count` times over, and room for its change."""
+        at = np.repeat(self._first, count)
+        law = self.model.law.of_cells(at, self.model.points)
+        # type: ignore[arg-type]
+        return NeoHookePoints(law, len(at)), np.empty((3, 3, len(at)), np.float32)
+
+    def _coarse_residual(self, z):
+        """What steps z (R, q) add to the residual beside - z: (R, q)."""
+        residual, first, count = self.residual, self._first, z.shape[1]
+        if count not in self._laws:
+            self._laws[count] = self._coarse_law(count)
+        law, T = self._laws[count]
         parts = [
-            (A @ r[p.start : p.start + A.shape[1]]).reshape(3, 3, -1)
+            (A @ z[p.start : p.start + A.shape[1]]).reshape(3, 3, -1)
             for A, p in zip(self._A, residual.parts, strict=True)
         ]
         D = np.concatenate([parts[0] + parts[1], parts[0] - parts[1]], 2) if parts[1:] else parts[0]
-        H, T = residual.law.H[:, :, first], self._change
-        np.add(H, D, out=self._law.H)
-        self._law(1.0, None, T)
-        T -= residual.law.P[:, :, first]
+        H, P, bulk = residual.law.H[:, :, first], residual.law.P[:, :, first], self._bulk
+        if count > 1:
+            H, P = np.repeat(H, count, 2), np.repeat(P, count, 2)
+            bulk = np.repeat(bulk, count) if bulk.ndim else bulk
+        np.add(H, D, out=law.H)
+        law(1.0, None, T)
+        T -= P
         T -= D
         T -= D.swapaxes(0, 1)
-        T.reshape(9, -1)[::4] -= self._bulk * np.trace(D)
+        T.reshape(9, -1)[::4] -= bulk * np.trace(D)
         if residual.prony:
             Q = residual.viscous(first) / np.float32(residual.c)
+            if count > 1:
+                Q = np.repeat(Q, count, 2)
             T -= np.einsum("ikm,kjm->ijm", D, Q)
-        k = len(first) // len(parts)
+        k = T.shape[2] // len(parts)
         left, right = T[:, :, :k], T[:, :, k:]
         folded = [left + right, left - right] if parts[1:] else [T]
-        return np.concatenate([N @ F.ravel() for N, F in zip(self.N, folded, strict=True)])
+        both = zip(self.N, folded, strict=True)
+        return np.concatenate([N @ F.reshape(-1, count) for N, F in both])
+
+
+def _dots(x, y):
+    """(q,) of the columns of two (R, q)."""
+    return np.einsum("rq,rq->q", x, y)
 
 
 def limited(step: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """`step` (R,), scaled back where it is longer than TRUST (|a| + 1 mm)."""
-    length = float(np.linalg.norm(step))
+    """`step` (R,), or each of its columns (R, q), scaled back where it is longer than TRUST (|a| +
+    1 mm)."""
+    length = np.linalg.norm(step, axis=0)
     most = TRUST * (float(np.linalg.norm(a)) + 1)
-    return step if length <= most else step * np.float32(most / length)
+    if (length <= most).all():
+        return step
+    return step * np.where(length <= most, 1, most / length).astype(np.float32)
 
 
 def save_constitutive(

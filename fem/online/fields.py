@@ -109,6 +109,14 @@ class Fields:
             raise InputError("the displacement holds values that are not finite")
         return self._project(flat, layout), square
 
+    def at(self, nodes: np.ndarray) -> np.ndarray:
+        """(n, 3, R): the displacement of each node, component and coordinate, by 1 mm of it."""
+        found = np.zeros((len(nodes), 3, self.model.modes), np.float32)
+        field = np.zeros((self.model.meta["nodes"], 3), np.float32)
+        for r, one in enumerate(np.eye(self.model.modes, dtype=np.float32)):
+            found[:, :, r] = self.decode(one, field.shape)[nodes]
+        return found
+
     def _project(self, flat, layout):
         """Phi^T of a field at the free nodes."""
         left = flat.take(layout[1][0])

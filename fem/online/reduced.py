@@ -40,6 +40,8 @@ a mirror there is block 0 alone, and all are left ones.
     missing<b> (k_b, 3 h_f) mm/mN   |missing_b f_b|^2, summed, is the square of what the modes miss
                                of the linear answer to f: for fem.online.indicator
     prony (K, 2) float64       g, tau in s
+    places (N, 3), faces (M, 4) int32    mm of the nodes, and those of the faces that contacts push
+                               on; not in files of before
     grid_shape (3,), grid_index (N,) int64    the node grid of the mesh, where it has one
     meta uint8                 JSON in UTF-8: `axis` that R flips, digests of `mesh` and `material`,
                                `law` {kind, parameters: a number, or one a point, left ones first},
@@ -116,21 +118,36 @@ class ReducedStepper:
     def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
         """Displacement in mm, float32, dt seconds after the call before, under `force` in mN that
         grew linearly since; see fem.online.stepper.Stepper."""
+        dt = self.take(dt)
+        layout, g = self.fields.encode(np.asarray(force))
+        linear = self._memory.step(g, dt).astype(np.float32)
+        self.residual.begin(g)
+        with np.errstate(all="ignore"):  # a guess may be anything; what is not finite is taken back
+            self.a = self._solve(linear + self._correction)
+        self._end(linear)
+        self.carried = self.fields.carried
+        return self.fields.decode(self.a, layout)
+
+    def take(self, dt: float | None) -> float:
+        """The dt in s of a frame that begins, `interval` for None. Raises InputError for one that
+        it does not take."""
         if dt is None:
             dt = self.interval
         if dt is None or dt != self._elapsed:
             check_interval(None, dt)
             self._elapsed = float(dt or 0)
             self.residual.set_interval(self._elapsed)
-        layout, g = self.fields.encode(np.asarray(force))
-        linear = self._memory.step(g, self._elapsed).astype(np.float32)
-        self.residual.begin(g)
-        with np.errstate(all="ignore"):  # a guess may be anything; what is not finite is taken back
-            self.a = self._solve(linear + self._correction)
+        return self._elapsed
+
+    def ended(self, a: np.ndarray, g: np.ndarray) -> None:
+        """Go on from a frame that was solved elsewhere: coordinates a (R,) mm under the force whose
+        answer at rest is g (R,) mm."""
+        self.a = a
+        self._end(self._memory.step(g, self._elapsed).astype(np.float32))
+
+    def _end(self, linear):
         self.residual.accept(self.a)
         self._correction = self.a - linear
-        self.carried = self.fields.carried
-        return self.fields.decode(self.a, layout)
 
     def _solve(self, a):
         """The coordinates at which the frame is at rest, from a first guess; where that cannot be

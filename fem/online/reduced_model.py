@@ -15,6 +15,7 @@ from fem.errors import InputError
 from fem.files import load_arrays, save_arrays
 from fem.material.base import Hyperelastic
 from fem.material.laws import KINDS
+from fem.online.contact_surface import ContactSurface
 from fem.online.grid import NodeGrid
 
 FORMAT = "unet-fem reduced 1"
@@ -48,8 +49,9 @@ class ReducedModel:
     force, free: (sides, h) numbers of the loadable and of the free nodes: left ones and, with a
     mirror, their images; prony: (K, 2) g and tau in s; axis: the component that the mirror flips,
     or None; grid: NodeGrid of the mesh, or None; meta: plain values, with `mesh` and `material`
-    digests, `law`, `nodes`, and `interval` in s, that of the frames it was fitted to; law: that of
-    the points
+    digests, `law`, `nodes`, and `interval` in s, that of the frames it was fitted to; places (N, 3)
+    mm of the nodes and faces (M, 4) that contacts push on, or None in older files; law: that of the
+    points
 
     Raises InputError for arrays that do not fit each other or are not finite.
     """
@@ -61,6 +63,8 @@ class ReducedModel:
     axis: int | None
     grid: NodeGrid | None
     meta: dict[str, Any]
+    places: np.ndarray | None = None
+    faces: np.ndarray | None = None
     law: Hyperelastic = field(init=False)
 
     def __post_init__(self) -> None:
@@ -88,6 +92,12 @@ class ReducedModel:
             if nodes.size and not 0 <= nodes.min() <= nodes.max() < self.meta["nodes"]:
                 raise InputError(f"{name} names a node outside the mesh; {REMEDY}")
         _check("prony", self.prony, (len(self.prony), 2), "f")
+        if self.faces is not None:
+            n = self.meta["nodes"]
+            _check("places", np.asarray(self.places), (n, 3), "f")
+            _check("faces", self.faces, (len(self.faces), 4), "iu")
+            if not len(self.faces) or not 0 <= self.faces.min() <= self.faces.max() < n:
+                raise InputError(f"faces names no face, or a node outside the mesh; {REMEDY}")
         object.__setattr__(self, "law", self._law())
 
     def _law(self):
@@ -110,6 +120,14 @@ class ReducedModel:
         """m, of all sides."""
         return len(self.blocks) * (len(self.blocks[0].A) // 9)
 
+    def surface(self) -> ContactSurface:
+        """That contacts push on. Raises InputError for a file that was made before it was kept."""
+        if self.places is None or self.faces is None:
+            raise InputError(f"the reduced model does not hold its body's surface; {REMEDY}")
+        carries = np.zeros(len(self.places), bool)
+        carries[self.free.ravel()] = True
+        return ContactSurface(self.places, self.faces, carries)
+
     def check(self, mesh: str, material: str | None = None) -> None:
         """Raises InputError unless it was made for the mesh, and the material, with these
         digests."""
@@ -125,6 +143,8 @@ class ReducedModel:
         arrays: dict[str, Any] = {"force": self.force, "free": self.free, "prony": self.prony}
         if self.grid is not None:
             arrays |= {"grid_shape": np.array(self.grid.shape), "grid_index": self.grid.index}
+        if self.faces is not None:
+            arrays |= {"places": self.places, "faces": self.faces}
         for b, block in enumerate(self.blocks):
             arrays |= {f"{name}{b}": getattr(block, name) for name in BLOCK}
         meta = json.dumps(self.meta | {"axis": self.axis}, allow_nan=False).encode()
@@ -146,6 +166,7 @@ class ReducedModel:
             if "grid_index" in arrays:
                 grid = NodeGrid(tuple(arrays["grid_shape"]), arrays["grid_index"])
             kept = {name: arrays[name] for name in ("force", "free", "prony")}
+            kept |= {name: arrays[name] for name in ("places", "faces") if name in arrays}
             return cls(blocks, **kept, axis=axis, grid=grid, meta=meta)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

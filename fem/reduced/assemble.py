@@ -8,6 +8,7 @@ import numpy as np
 from fem.cache import digest
 from fem.material.base import Hyperelastic
 from fem.material.laws import KINDS
+from fem.online.grid import MM
 from fem.online.point_law import point_law
 from fem.online.reduced_model import Block, ReducedModel
 from fem.reduced.cubature import unit_tangent
@@ -76,8 +77,17 @@ class Assembly:
             "interval": reduction.snapshots.interval,
         }
         prony = np.array(self.law.prony, float).reshape(-1, 2)
-        force, free = body.loadable.rows, body.free.rows
-        return ReducedModel(blocks, force, free, prony, self.points.axis, body.mesh.grid, meta)
+        return ReducedModel(
+            blocks,
+            body.loadable.rows,
+            body.free.rows,
+            prony,
+            self.points.axis,
+            body.mesh.grid,
+            meta,
+            places=(body.mesh.points * MM).astype(np.float32),
+            faces=body.mesh.contact_faces.astype(np.int32),
+        )
 
 
 def material_digest(material: Hyperelastic) -> str:
