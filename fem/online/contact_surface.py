@@ -4,7 +4,7 @@ import numpy as np
 
 from fem.errors import InputError
 from fem.mesh.element import quad_shape
-from fem.ranges import shown
+from fem.ranges import checked, shown
 
 
 class ContactSurface:
@@ -80,6 +80,21 @@ class ContactSurface:
                 " widen the radius"
             )
         return share / total, normal
+
+
+class Probe:
+    """A round probe of `radius` mm on a surface, which turns its force into forces at the nodes."""
+
+    def __init__(self, surface: ContactSurface, radius: float) -> None:
+        self.surface, self.radius = surface, checked("radius", radius, 1e-3, 1e6, "mm")
+
+    def __call__(self, position: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """(N, 3) mN at the nodes of a force (3,) mN at the point `position` (3,) mm of the surface
+        at rest. Raises InputError where it misses the surface."""
+        force = np.asarray(force, float)
+        if force.shape != (3,) or not np.isfinite(force).all():
+            raise InputError(f"a probe's force is {shown(force)}; give (x, y, z) in mN")
+        return np.outer(self.surface.footprint(position, self.radius), force).astype(np.float32)
 
 
 def bump(x: np.ndarray) -> np.ndarray:

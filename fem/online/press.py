@@ -154,11 +154,13 @@ class Press:
                 y = y + rest[:, 1:]
                 change = _solve(compliance, wanted - p @ (a + z))
                 new = np.maximum(f + change, floor)
-                step = limited(z + y @ (new - f).astype(np.float32), a)
+                whole = z + y @ (new - f).astype(np.float32)
+                step = limited(whole, a)
                 evaluations, length = evaluations + 1, float(np.linalg.norm(step))
+                share = length / max(float(np.linalg.norm(whole)), 1e-30)
                 if not (length < np.inf and np.isfinite(new).all()):
                     break
-                a, f = a + step, new
+                a, f = a + step, f + min(share, 1.0) * (new - f)
                 size = float(np.linalg.norm(a))
         stepper.ended(a, g @ f.astype(np.float32))
         stepper.evaluations, stepper.unrest = evaluations, length / (size + 1e-3)
