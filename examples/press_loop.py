@@ -41,7 +41,8 @@ class Run:
 
     @property
     def passive(self) -> float:
-        """Net energy that the tissue kept, as a share of what it was given: below 0 it made some."""
+        """Net energy that the tissue kept, as a share of what it was given: below 0 it made
+        some."""
         return (self.given - self.taken) / max(self.given, 1e-12)
 
 
@@ -62,7 +63,8 @@ def run(press: Press, seconds: float, coupling: float, controlled: bool = False)
         work = (before + reaction) / 2 * moved  # mN mm, since the tick before
         energy[int(work < 0)] += abs(work)
         before = reaction
-        # the tool has no mass: it stands where spring and tissue, with its local compliance, balance
+        # the tool has no mass: it stands where spring and tissue, with its local compliance,
+        # balance
         stiff = SCALE / touch.compliance
         moved = (spring * (position - tool) - SCALE * reaction) / (spring + stiff)
         tool += moved

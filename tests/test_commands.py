@@ -54,6 +54,10 @@ COMMANDS = {
         (["none.toml"], "none.toml"),
         (["a.toml", "--usual", "0"], "--usual 0"),
     ],
+    "tools/identify.py": [
+        (["none.npz", "none.csv", "--position", "0", "0", "0"], "none.csv"),
+        (["none.npz", "a.csv", "--position", "0", "0", "0", "--terms", "9"], "--terms = 9"),
+    ],
     "tools/make_lobe.py": [],
     "tools/prune.py": [(["runs/none"], "runs/none"), (["runs/none", "--sparsity", "2"], "2")],
     "tools/quantize.py": [(["runs/none"], "runs/none")],
