@@ -59,6 +59,10 @@ COMMANDS = {
         (["none.npz", "a.csv", "--position", "0", "0", "0", "--terms", "9"], "--terms = 9"),
     ],
     "tools/make_lobe.py": [],
+    "tools/press.py": [
+        (["none.h5", "none.npz"], "none.h5"),
+        (["none.h5", "none.npz", "--depth", "0"], "--depth = 0"),
+    ],
     "tools/prune.py": [(["runs/none"], "runs/none"), (["runs/none", "--sparsity", "2"], "2")],
     "tools/quantize.py": [(["runs/none"], "runs/none")],
     "tools/readings.py": [
