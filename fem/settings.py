@@ -19,7 +19,7 @@ import numpy as np
 import tomli_w
 
 from fem.errors import InputError
-from fem.ranges import ANY, KEY, check, check_fields
+from fem.ranges import ANY, KEY, check, check_fields, shown
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -113,6 +113,20 @@ def normalised(settings: Any, where: str = "") -> None:
             value = _convert(getattr(settings, field.name), hints[field.name], name)
             object.__setattr__(settings, field.name, value)
     check_fields(settings, where)
+
+
+def refuse_unused(settings: Any, names: Iterable[str], where: str, reason: str) -> None:
+    """Raises InputError for one of the fields `names` that is not at its default, because it means
+    nothing there: what is dropped without a word would still tell equal settings apart.
+
+    where: name of the table; reason: what it means nothing for, such as "mesh.kind = 'box'".
+    """
+    defaults = {field.name: field.default for field in dataclasses.fields(settings)}
+    for name in names:
+        if (value := getattr(settings, name)) != defaults[name]:
+            raise InputError(
+                f"{_join(where, name)} = {shown(value)} has no meaning for {reason}; leave it out"
+            )
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """A scene: everything that one dataset depends on, read from a TOML file."""
 
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,7 +34,14 @@ SOLVERS: dict[str, type[Solver] | type[QuasiStatic]] = {
 IMBALANCE = {"explicit": 0.01, "quasistatic": 0.05, "reduced": 0.05}
 # largest force out of balance: of inertia and damping, or what the modes of a reduced model leave
 DISEQUILIBRIUM = {"reduced": 0.1}
-EXPLICIT_ONLY = ("damping", "mass_scaling", "safety")
+# which settings of SolverChoice mean something for which kind
+SOLVER_KINDS = {
+    "explicit": {
+        "element", "precision", "hourglass_stiffness", "damping", "mass_scaling", "safety"
+    },
+    "quasistatic": {"element", "precision", "hourglass_stiffness", "tolerance"},
+    "reduced": {"precision", "model", "sha256"},
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,36 +70,14 @@ class SolverChoice:
     def __post_init__(self, folder: str | Path) -> None:
         config.normalised(self, "solver")
         object.__setattr__(self, "folder", str(folder))
-        self._check_kind()
-        if self.element != "reduced" and self.hourglass_stiffness is not None:
-            raise InputError(
-                f"solver.hourglass_stiffness = {self.hourglass_stiffness} has no meaning for"
-                f" solver.element = '{self.element}'; leave it out, or take element = 'reduced'"
-            )
-        if self.element == "reduced" and self.hourglass_stiffness is None:
+        every = {own.name for own in fields(self)} - {"kind"}
+        unused = sorted(every - SOLVER_KINDS[self.kind])
+        config.refuse_unused(self, unused, "solver", f"solver.kind = '{self.kind}'")
+        if self.element != "reduced":
+            reason = f"solver.element = '{self.element}'"
+            config.refuse_unused(self, ["hourglass_stiffness"], "solver", reason)
+        elif self.hourglass_stiffness is None:
             object.__setattr__(self, "hourglass_stiffness", 0.2)  # the solver's default
-
-    def _check_kind(self):
-        wrong = [
-            name for name in ("model", "sha256") if self.kind != "reduced" and getattr(self, name)
-        ]
-        if self.tolerance is not None and self.kind != "quasistatic":
-            wrong.append("tolerance")
-        if wrong:
-            of = "quasistatic" if wrong[-1] == "tolerance" else "reduced"
-            raise InputError(
-                f"solver.{wrong[-1]} = {getattr(self, wrong[-1])} has no meaning for solver.kind ="
-                f" '{self.kind}'; leave it out, or take kind = '{of}'"
-            )
-        if self.kind == "explicit":
-            return
-        for name in EXPLICIT_ONLY:
-            value = getattr(self, name)
-            if value != getattr(type(self), name):
-                raise InputError(
-                    f"solver.{name} = {value} has no meaning for solver.kind = '{self.kind}',"
-                    " which knows no mass and no stable step; leave it out"
-                )
         if self.kind == "reduced" and not self.model:
             raise InputError("solver.kind = 'reduced' needs solver.model, such as 'reduced.npz'")
         if self.kind == "quasistatic" and self.tolerance is None:
@@ -112,8 +97,13 @@ class SolverChoice:
 
     def settings(self) -> dict[str, Any]:
         """Its entries that mean something for its kind, by name; `kind` is the caller's."""
-        unused = ("kind",) if self.kind == "explicit" else ("kind", *EXPLICIT_ONLY)
-        return {name: value for name, value in config.to_dict(self).items() if name not in unused}
+        used = SOLVER_KINDS[self.kind] | {"element"}
+        return {name: value for name, value in config.to_dict(self).items() if name in used}
+
+    @property
+    def true_mass(self) -> bool:
+        """Whether tissue has its own inertia."""
+        return self.kind == "explicit" and self.mass_scaling == 1
 
     def build(self, mesh: HexMesh, material: Hyperelastic) -> Solver | QuasiStatic:
         """The solver of a mesh and its law."""
@@ -250,6 +240,7 @@ class Scene:
     def __post_init__(self) -> None:
         config.normalised(self)
         object.__setattr__(self, "groups", check_groups(self.material, self.groups))
+        self._check_health()
         kind = self.solver.kind
         usual: dict[str, Any] = {
             "imbalance": IMBALANCE[kind],
@@ -257,6 +248,18 @@ class Scene:
         }
         left_out = {n: value for n, value in usual.items() if getattr(self.health, n) is None}
         object.__setattr__(self, "health", replace(self.health, **left_out))
+
+    def _check_health(self):
+        """Raises InputError for a limit of what the solver does not have."""
+        health, solver = self.health, self.solver
+        if solver.element != "reduced":
+            names, reason = ["hourglass_motion", "hourglass_share"], f"element = '{solver.element}'"
+            config.refuse_unused(health, names, "health", f"solver.{reason}")
+        if solver.true_mass:
+            reason = "the explicit solver with solver.mass_scaling = 1"
+            config.refuse_unused(health, ["confirm", "mass_error"], "health", reason)
+        elif not health.confirm:
+            config.refuse_unused(health, ["mass_error"], "health", "health.confirm = 0")
 
     @staticmethod
     def arranged(tree: dict[str, Any]) -> dict[str, Any]:

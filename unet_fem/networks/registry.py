@@ -138,6 +138,8 @@ class Network:
     maker: of a Regression from a fem.data.dataset.Dataset alone, in place of both: maker(dataset).
     thinner: puts the weightiest part of a model into a smaller one, thinner(model, small). size:
     name of the setting that makes it smaller.
+    reads: which of a run's settings besides [model] it has a use for, as "table" or "table.name";
+    the others are refused.
     """
 
     label: str
@@ -147,6 +149,7 @@ class Network:
     maker: Reference | None = None
     thinner: Reference | None = None
     size: str | None = None
+    reads: tuple[str, ...] = ("train", "loss", "input", "samples")
 
     def build(
         self,
@@ -175,6 +178,10 @@ class Network:
         own = {name: value for name, value in options.own().items() if name != "steps"}
         return resolve(self.fitter)(train, validation, mask, **own)
 
+    def uses(self, table: str, name: str) -> bool:
+        """Whether it has a use for the setting `name` of `table`."""
+        return table in self.reads or f"{table}.{name}" in self.reads
+
     @property
     def fitted(self) -> bool:
         """Whether it is a Regression, which no training makes."""
@@ -188,6 +195,7 @@ class Network:
         resolve(self.thinner)(model, small)
 
 
+JUDGED = ("input.memory", "loss.volume_threshold")  # the second is drawn into a figure
 NETWORKS = {
     "cnn_lstm": Network(
         "CNN-LSTM",
@@ -203,9 +211,18 @@ NETWORKS = {
         thinner="unet_fem.networks.thinning:thin_unet",
         size="filters",
     ),
-    "linear": Network("linear regression", Linear, fitter="unet_fem.networks.pod:linear"),
-    "pod": Network("POD regression", Pod, fitter="unet_fem.networks.pod:pod"),
-    "elastic": Network("linear elastic answer", Elastic, maker="fem.data.elastic:elastic_answer"),
+    "linear": Network(
+        "linear regression",
+        Linear,
+        fitter="unet_fem.networks.pod:linear",
+        reads=(*JUDGED, "samples"),
+    ),
+    "pod": Network(
+        "POD regression", Pod, fitter="unet_fem.networks.pod:pod", reads=(*JUDGED, "samples")
+    ),
+    "elastic": Network(
+        "linear elastic answer", Elastic, maker="fem.data.elastic:elastic_answer", reads=JUDGED
+    ),
 }
 
 

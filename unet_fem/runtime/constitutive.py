@@ -24,6 +24,7 @@ from fem.online.stepper import State, Stepper, check_interval
 from unet_fem.runtime.guard import Guard
 from unet_fem.runtime.rates import rates
 from unet_fem.runtime.surrogate import Surrogate
+from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 
 MEMORY = ("history", "slow", "correction")
 RATES = ("c", "past", "advance", "creep", "remembered")
@@ -255,6 +256,7 @@ def read_constitutive(path: str | Path) -> dict[str, np.ndarray]:
     arrays = load_arrays(path)
     if str(arrays.get("format")) != FORMAT:
         raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
+    check_graph(path, arrays, REMEDY)
     return arrays
 
 
@@ -262,5 +264,5 @@ def write_constitutive(path: str | Path, graph: bytes, arrays: dict[str, np.ndar
     """Write a file, at once or not at all: the bytes of a .tflite, and the arrays of a ReducedModel
     and of the guard."""
     archive = io.BytesIO()
-    np.savez(archive, format=FORMAT, **arrays)  # type: ignore[arg-type]
+    np.savez(archive, format=FORMAT, sha256=graph_digest(graph), **arrays)  # type: ignore[arg-type]
     write_bytes(path, graph + archive.getvalue())
