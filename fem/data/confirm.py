@@ -9,7 +9,7 @@ import numpy as np
 from fem.contact.push import Contact
 from fem.contact.surface import surface_of
 from fem.data.interaction import simulate
-from fem.data.scene import Health, Scene
+from fem.data.scene import Scene
 from fem.errors import InputError, SolverStopped
 from fem.mesh.hexmesh import HexMesh
 
@@ -45,8 +45,7 @@ def _true_mass(scene):
     """The scene with the explicit solver and the true mass, which nothing confirms."""
     others = dict.fromkeys(("tolerance", "model", "sha256"))
     solver = replace(scene.solver, kind="explicit", mass_scaling=1.0, **others)
-    health = replace(scene.health, confirm=Health.confirm, mass_error=Health.mass_error)
-    return replace(scene, solver=solver, health=health)
+    return scene.with_solver(solver)
 
 
 def confirmed(

@@ -220,6 +220,20 @@ class Health:
         config.normalised(self, "health")
 
 
+def _unused_health(solver: SolverChoice, health: Health) -> dict[str, str]:
+    """{name: for what it means nothing} of the settings of `health` beside this solver."""
+    unused: dict[str, str] = {}
+    if solver.element != "reduced":
+        reason = f"solver.element = '{solver.element}'"
+        unused |= dict.fromkeys(("hourglass_motion", "hourglass_share"), reason)
+    if solver.true_mass:
+        reason = "the explicit solver with solver.mass_scaling = 1"
+        unused |= dict.fromkeys(("confirm", "mass_error"), reason)
+    elif not health.confirm:
+        unused["mass_error"] = "health.confirm = 0"
+    return unused
+
+
 @dataclass(frozen=True)
 class Scene:
     """Mesh, material, solver, contacts and interactions of one dataset.
@@ -240,7 +254,8 @@ class Scene:
     def __post_init__(self) -> None:
         config.normalised(self)
         object.__setattr__(self, "groups", check_groups(self.material, self.groups))
-        self._check_health()
+        for name, reason in _unused_health(self.solver, self.health).items():
+            config.refuse_unused(self.health, [name], "health", reason)
         kind = self.solver.kind
         usual: dict[str, Any] = {
             "imbalance": IMBALANCE[kind],
@@ -248,18 +263,6 @@ class Scene:
         }
         left_out = {n: value for n, value in usual.items() if getattr(self.health, n) is None}
         object.__setattr__(self, "health", replace(self.health, **left_out))
-
-    def _check_health(self):
-        """Raises InputError for a limit of what the solver does not have."""
-        health, solver = self.health, self.solver
-        if solver.element != "reduced":
-            names, reason = ["hourglass_motion", "hourglass_share"], f"element = '{solver.element}'"
-            config.refuse_unused(health, names, "health", f"solver.{reason}")
-        if solver.true_mass:
-            reason = "the explicit solver with solver.mass_scaling = 1"
-            config.refuse_unused(health, ["confirm", "mass_error"], "health", reason)
-        elif not health.confirm:
-            config.refuse_unused(health, ["mass_error"], "health", "health.confirm = 0")
 
     @staticmethod
     def arranged(tree: dict[str, Any]) -> dict[str, Any]:
@@ -289,6 +292,12 @@ class Scene:
         if self.solver.kind != "explicit":
             tree["solver"] = {"kind": self.solver.kind} | tree["solver"]
         return tree | {"material": to_table(self.material) | groups}
+
+    def with_solver(self, solver: SolverChoice) -> "Scene":
+        """This scene with another solver, and without the limits of health that mean nothing for
+        it."""
+        usual = config.defaults(Health, _unused_health(solver, self.health))
+        return replace(self, solver=solver, health=replace(self.health, **usual))
 
     def with_mesh(self, mesh: HexMesh, grid: tuple[int, int, int] | None = None) -> "Scene":
         """This scene on the HexMesh `mesh` (m), such as fem.mesh.read.read_mesh gives; its dataset

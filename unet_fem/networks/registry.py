@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Protocol
 
 from fem.errors import InputError
-from fem.ranges import number
+from fem.ranges import checked_array, number
 from fem.settings import normalised
 from unet_fem.networks.block import block_channels, coarse_block
 
@@ -166,6 +166,9 @@ class Network:
         """
         if self.builder is None:
             raise InputError(f"a {self.label} is fitted, not trained; it has no Keras model")
+        checked_array("grid", grid, (3,), 2, 10_000, whole=True)
+        checked_array("scales", scales, (2,), 1e-12, 1e12)
+        options.check(grid)
         scaled = {"force_scale": scales[0], "displacement_scale": scales[1]}
         return resolve(self.builder)(grid, **options.own(), **scaled, mask=mask, lib=lib)
 

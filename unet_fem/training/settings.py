@@ -1,7 +1,7 @@
 """Settings of one training run, read from a TOML file and key=value overrides."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -115,6 +115,14 @@ class Settings:
     def folder(self) -> Path:
         """Of the run."""
         return Path("runs") / self.name
+
+    def with_model(self, model: Options) -> "Settings":
+        """These settings with another model, and without those that it has no use for."""
+        tables = {
+            table: replace(getattr(self, table), **config.defaults(TABLES[table], names))
+            for table, names in unused(model.kind).items()
+        }
+        return replace(self, model=model, **tables)
 
     def toml(self) -> str:
         """The settings as a TOML file, with those alone that the model's kind reads, and without

@@ -13,7 +13,7 @@ from fem.data.confirm import Confirmation, check_confirmed, confirmed, sampled
 from fem.data.dataset import open_dataset
 from fem.data.draws import drawn_contacts
 from fem.data.interaction import healthy_interaction, simulate
-from fem.data.scene import Health, Scene
+from fem.data.scene import Scene
 from fem.errors import InputError
 from fem.generate import main
 
@@ -49,8 +49,7 @@ def test_the_file_tells_the_distance_from_the_true_mass(tiny_dataset):
     dataset = open_dataset(tiny_dataset)
     (row,) = dataset.confirmation
     assert (row["split"], row["number"]) == (b"test", 1)
-    solver = replace(dataset.scene.solver, mass_scaling=1.0)
-    true = replace(dataset.scene, solver=solver, health=Health())
+    true = dataset.scene.with_solver(replace(dataset.scene.solver, mass_scaling=1.0))
     mesh = dataset.fem_mesh
     exact = simulate(true, mesh, dataset.contacts("test", 1), surface_of(mesh))["displacement"]
     got = dataset.sequence("test", 1).displacement
