@@ -5,6 +5,7 @@ damaged or hostile: `read_json` and `load_arrays` take nothing on trust, and run
 """
 
 import errno
+import hashlib
 import json
 import os
 import re
@@ -118,6 +119,32 @@ def save_arrays(path: str | Path, **arrays: Any) -> None:
     """np.savez to `path`."""
     with replacing(path) as partial, open(partial, "wb") as file:
         np.savez(file, **arrays)
+
+
+SEAL = b"sha256 "
+
+
+def seal(path: str | Path) -> None:
+    """Append the digest of what the file at `path` holds, for readers that go by its start: it is
+    whole as long as it is `sealed`."""
+    with open(path, "rb+") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest().encode()
+        file.seek(0, os.SEEK_END)
+        file.write(SEAL + digest)
+
+
+def sealed(path: str | Path) -> bool:
+    """Whether the file at `path` is what it was when it was sealed."""
+    with open(path, "rb") as file:
+        found = file.seek(0, os.SEEK_END) - len(SEAL) - 64
+        file.seek(max(found, 0))
+        said = file.read()
+        file.seek(0)
+        digest = hashlib.sha256()
+        while found > 0 and (block := file.read(min(found, 2**20))):
+            digest.update(block)
+            found -= len(block)
+    return said == SEAL + digest.hexdigest().encode()
 
 
 def read_json(path: str | Path, kind: type | tuple[type, ...] = dict) -> Any:

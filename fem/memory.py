@@ -7,9 +7,11 @@ import psutil
 
 from fem.errors import InputError
 
+UNITS = (1e9, "GB"), (1e6, "MB"), (1e3, "kB")
+
 
 def require_memory(size: float, what: str, remedy: str = "lower it") -> None:
-    """Raises InputError where `what` needs more than the free memory, with both in GB; size: bytes,
+    """Raises InputError where `what` needs more than the free memory, with both; size: bytes,
     an estimate from below."""
     free = psutil.virtual_memory().available
     if size > free:
@@ -33,4 +35,5 @@ def require_disk(size: float, path: Path, what: str) -> None:
 
 
 def _text(size):
-    return f"{size / 1e9:.3g} GB"
+    unit, name = next(((u, n) for u, n in UNITS if size >= u), UNITS[-1])
+    return f"{size / unit:.3g} {name}"

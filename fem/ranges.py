@@ -102,6 +102,35 @@ def checked(
     return value
 
 
+def checked_array(
+    name: str,
+    value: Any,
+    shape: tuple[int | None, ...],
+    low: float = -1e300,
+    high: float = 1e300,
+    whole: bool = False,
+) -> np.ndarray:
+    """`value` as an array, if it is one of real numbers from `low` to `high`, whole ones if asked
+    for, and of this shape, with None for any length. Raises InputError otherwise."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        array = np.asarray(None)
+    fits = array.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits or array.dtype.kind not in ("iu" if whole else "fiu"):
+        sizes = ", ".join("any" if n is None else str(n) for n in shape)
+        what = "whole" if whole else "real"
+        raise InputError(
+            f"{name} = {shown(value)} must be {what} numbers of shape"
+            f" ({sizes}{',' * (len(shape) == 1)})"
+        )
+    if not ((array >= low) & (array <= high)).all():
+        raise InputError(f"{name} = {shown(value)} must be finite numbers {Range(low, high)}")
+    return array
+
+
 def shown(value: Any) -> str:
     """`value` on one short line, for messages."""
     if isinstance(value, (np.ndarray, np.generic)):

@@ -21,6 +21,8 @@ from tqdm import tqdm
 from fem.commands import command_line
 from fem.data.dataset import open_dataset
 from fem.errors import InputError
+from fem.files import vet_output
+from fem.locks import lock
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import ReducedModel
 from fem.reduced.assemble import material_digest
@@ -51,14 +53,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     out = options.out or default_path(dataset)
     if out.suffix != ".npz":
         raise InputError(f"--out {out} must end in .npz")
-    if out.is_file():
+    if vet_output(out).is_file():
         raise InputError(f"{out} exists already; delete it to make it again, or give another --out")
 
     def progress(which: Iterable) -> Iterable:
         return tqdm(which, "reading", unit=" interactions", disable=None)
 
-    model, verdicts = reduce(dataset, choice, print, progress)
-    model.save(out)
+    with lock(out):
+        model, verdicts = reduce(dataset, choice, print, progress)
+        model.save(out)
     size = f"{out.stat().st_size / 1e6:.1f} MB"
     print(f"wrote {out} ({size}): {model.modes} modes, {model.points} points")
     _show(verdicts)

@@ -7,11 +7,12 @@ dataclass's `__post_init__`.
 
 import dataclasses
 import difflib
+import inspect
 import os
 import tomllib
 import types
 import typing
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import numpy as np
 import tomli_w
 
 from fem.errors import InputError
-from fem.ranges import ANY, KEY, check, check_fields
+from fem.ranges import ANY, KEY, check, check_fields, shown
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -113,6 +114,37 @@ def normalised(settings: Any, where: str = "") -> None:
             value = _convert(getattr(settings, field.name), hints[field.name], name)
             object.__setattr__(settings, field.name, value)
     check_fields(settings, where)
+
+
+def refuse_unused(settings: Any, names: Iterable[str], where: str, reason: str) -> None:
+    """Raises InputError for one of the fields `names` that is not at its default, because it means
+    nothing there: what is dropped without a word would still tell equal settings apart.
+
+    where: name of the table; reason: what it means nothing for, such as "mesh.kind = 'box'".
+    """
+    for name, usual in defaults(type(settings), names).items():
+        if (value := getattr(settings, name)) != usual:
+            raise InputError(
+                f"{_join(where, name)} = {shown(value)} has no meaning for {reason}; leave it out"
+            )
+
+
+def takes(function: Callable, given: Mapping[str, Any], what: str) -> None:
+    """Raises InputError for a keyword among `given` that `function` does not take, with the nearest
+    that it does; what: has these keywords, for the message."""
+    own = inspect.signature(function).parameters
+    if any(one.kind is one.VAR_KEYWORD for one in own.values()):
+        return
+    for name in given:
+        if name not in own:
+            near = difflib.get_close_matches(name, own, n=1, cutoff=0.0)
+            nearest = f"; the nearest it has is '{near[0]}'" if near else ""
+            raise InputError(f"{what} has no setting '{name}'{nearest}")
+
+
+def defaults(cls: type, names: Iterable[str]) -> dict[str, Any]:
+    """{name: default} of the fields `names` of a dataclass, such as those that have no use."""
+    return {field.name: field.default for field in dataclasses.fields(cls) if field.name in names}
 
 
 def to_dict(config: Any) -> dict[str, Any]:

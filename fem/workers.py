@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Any
 
 import psutil
@@ -64,7 +64,8 @@ def on_all_cores(
         except BaseException as error:
             for job in as_completed([job for job in jobs if not job.cancel()]):
                 if not job.exception():
-                    finish(job)
+                    with suppress(InputError):  # it could not be kept: the first one's error counts
+                        finish(job)
             done = f"{bar.n} of {bar.total} {unit}s are kept; run the same command again"
             if isinstance(error, BrokenExecutor):
                 raise InputError(

@@ -16,6 +16,7 @@ from fem.commands import command_line
 from fem.data.dataset import open_dataset
 from fem.errors import InputError
 from fem.files import vet_output
+from fem.locks import lock
 from fem.online.reduced_model import ReducedModel
 from unet_fem.runtime.constitutive import read_constitutive
 
@@ -51,7 +52,8 @@ def main(arguments=None):
     from unet_fem.training.constitutive import Recipe
 
     recipe = Recipe(options.steps) if options.steps else None
-    files = make_network(dataset, model, options.folder, options.hard, options.coarse, recipe)
+    with lock(options.folder):
+        files = make_network(dataset, model, options.folder, options.hard, options.coarse, recipe)
     for path in files.values():
         print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
     print(f'next: unet_fem.open_stepper("{files["float32"]}").step(force, dt)')

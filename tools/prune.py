@@ -18,7 +18,7 @@ from fem.commands import command_line
 from fem.errors import InputError
 from fem.files import write_text
 from unet_fem.deployment.exported import model_file
-from unet_fem.training.run import open_run
+from unet_fem.training.run import locked_run
 
 
 @command_line
@@ -55,21 +55,21 @@ def main(arguments=None):
             f"--sparsity {options.sparsity} must lie between 0 and 1,"
             " --epochs and --rounds be at least 1"
         )
-    settings, dataset = open_run(options.run)
-    model_file(settings)
-    # all is vetted: now TensorFlow may be imported, which takes seconds
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    from unet_fem.deployment.smaller_runs import compare, smaller_run, table
+    with locked_run(options.run) as (settings, dataset):
+        model_file(settings)
+        # all is vetted: now TensorFlow may be imported, which takes seconds
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+        from unet_fem.deployment.smaller_runs import compare, smaller_run, table
 
-    small = [
-        smaller_run(
-            settings, dataset, share, options.filters, options.epochs, options.learning_rate
-        )
-        for share in options.sparsity
-    ]
-    figures = compare([settings, *small], dataset, options.rounds)
-    written = settings.folder / f"pruning_{'filters' if options.filters else 'weights'}.json"
-    write_text(written, json.dumps(figures, indent=1))
+        small = [
+            smaller_run(
+                settings, dataset, share, options.filters, options.epochs, options.learning_rate
+            )
+            for share in options.sparsity
+        ]
+        figures = compare([settings, *small], dataset, options.rounds)
+        written = settings.folder / f"pruning_{'filters' if options.filters else 'weights'}.json"
+        write_text(written, json.dumps(figures, indent=1))
     print(f"\n{table(figures)}\n\nwrote {written}")
     print(f"next: python tools/benchmark.py {' '.join(str(s.folder) for s in [settings, *small])}")
 

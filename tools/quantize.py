@@ -13,7 +13,7 @@ import os
 from fem.commands import command_line
 from fem.errors import InputError
 from unet_fem.deployment.exported import model_file
-from unet_fem.training.run import open_run
+from unet_fem.training.run import locked_run
 
 
 @command_line
@@ -40,13 +40,13 @@ def main(arguments=None):
             f"--windows {options.windows} must be at least 2"
             f" and --margin {options.margin:g} at least 1"
         )
-    settings, dataset = open_run(options.run)
-    model_file(settings)
-    # all is vetted: now TensorFlow may be imported, which takes seconds
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    from unet_fem.deployment.quantize import quantize
+    with locked_run(options.run) as (settings, dataset):
+        model_file(settings)
+        # all is vetted: now TensorFlow may be imported, which takes seconds
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+        from unet_fem.deployment.quantize import quantize
 
-    out = quantize(settings, dataset, options.windows, options.margin, options.layers)
+        out = quantize(settings, dataset, options.windows, options.margin, options.layers)
     print(f"\nfiles: {out}   next: python -m unet_fem.runtime {out / 'int8.tflite'} <dataset>.h5")
 
 

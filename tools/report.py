@@ -19,8 +19,9 @@ from fem.cache import VARIABLE
 from fem.commands import command_line
 from fem.errors import InputError
 from fem.files import vet_output
+from fem.locks import lock
 from unet_fem.study.runs import CommandFailed, deploy, make_long_data, train_networks
-from unet_fem.study.settings import load_study
+from unet_fem.study.settings import Study, load_study
 from unet_fem.study.stages import STAGES, check_needed, run_stage, stage_file
 
 STUDY, QUICK = Path("configs/study.toml"), Path("configs/study_quick.toml")
@@ -41,12 +42,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     study = load_study(options.study or (QUICK if options.quick else STUDY))
     out = options.out or (study.folder if options.quick else Path("docs"))
     vet_output(out, folder=True)
+    with lock(study.folder):
+        results = carry_out(study, options)
+        check_needed(results)
+        from unet_fem.study.report import page  # not above: it brings TensorFlow and matplotlib
+
+        readme = Path("README.md") if study.name == STUDY.stem and out == Path("docs") else None
+        path = page.write(study, results, out, readme)
+    print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
+
+
+def carry_out(study: Study, options: argparse.Namespace) -> dict[str, dict]:
+    """{stage: its figures}, after the trainings and exports that `options` do not leave out."""
+    results = {}
     try:
         if not (options.draw or options.untrained or options.only):
             train_networks(study)
             deploy(study)
             make_long_data(study)
-        results = {}
         for name in STAGES:
             read = options.draw or bool(options.only) and name not in options.only
             if read and not stage_file(study, name).is_file():
@@ -55,12 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except CommandFailed as failed:
         print(failed, file=sys.stderr)
         sys.exit(failed.code)
-    check_needed(results)
-    from unet_fem.study.report import page  # not above: it brings TensorFlow and matplotlib
-
-    readme = Path("README.md") if study.name == STUDY.stem and out == Path("docs") else None
-    path = page.write(study, results, out, readme)
-    print(f"\nwrote {path} with its figures in {path.parent / path.stem}/")
+    return results
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -14,18 +14,18 @@ from fem.commands import command_line
 from fem.errors import InputError
 from fem.former import moved
 from fem.lazy import callable_module
-from unet_fem.training.run import model_file, open_run
+from unet_fem.training.run import locked_run, model_file
 
 
 def evaluate(folder: Path | str) -> dict:
     """Metrics of the run in `folder`, written there with the figures. Raises InputError if it is no
-    run, or does not fit its dataset."""
-    settings, dataset = open_run(folder)
-    if not (made := model_file(settings)).is_file():
-        raise InputError(f"no model {made}; finish the run with python -m unet_fem.train")
-    from unet_fem.training import judge  # brings Keras, which no refusal has to wait for
+    run, does not fit its dataset, or another command writes to it."""
+    with locked_run(folder) as (settings, dataset):
+        if not (made := model_file(settings)).is_file():
+            raise InputError(f"no model {made}; finish the run with python -m unet_fem.train")
+        from unet_fem.training import judge  # brings Keras, which no refusal has to wait for
 
-    return judge.evaluate(settings, dataset)
+        return judge.evaluate(settings, dataset)
 
 
 callable_module(__name__, evaluate)

@@ -2,10 +2,16 @@
 
 import numpy as np
 
+from fem.errors import InputError
+
 
 def relative_l2(prediction: np.ndarray, truth: np.ndarray) -> float | None:
     """sqrt(sum |prediction - truth|^2 / sum |truth|^2) over all entries; None where the truth is
-    zero throughout."""
+    zero throughout. Raises InputError for two shapes."""
+    if np.shape(prediction) != np.shape(truth):
+        raise InputError(
+            f"a prediction of shape {np.shape(prediction)} is none of a truth of {np.shape(truth)}"
+        )
     return relative_l2_of_sums(squares(prediction - truth), squares(truth))
 
 

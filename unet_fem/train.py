@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> dict:
     if len(files) > 1:
         raise InputError(f"give one configuration file, not {' and '.join(files)}")
     settings = load_settings(
-        files[0] if files else QUICK, [word for word in options.words if "=" in word]
+        files[0] if files else QUICK, [word for word in options.words if "=" in word], print
     )
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # read when TensorFlow is imported
     try:

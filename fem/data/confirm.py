@@ -27,7 +27,7 @@ def sampled(scene: Scene) -> list[tuple[str, int]]:
     """The (split, number) of the interactions to confirm: drawn by the scene's seed from the hard
     ones, the others of the test and the other splits in turn; none where the mass is the true."""
     interactions, health = scene.interactions, scene.health
-    if scene.solver == _true_mass(scene).solver:
+    if scene.solver.true_mass:
         return []
     rng = np.random.default_rng([interactions.seed, len("confirm")])
     groups: dict[str, list[tuple[str, int]]] = {
@@ -42,10 +42,10 @@ def sampled(scene: Scene) -> list[tuple[str, int]]:
 
 
 def _true_mass(scene):
-    """The scene with the explicit solver and the true mass."""
+    """The scene with the explicit solver and the true mass, which nothing confirms."""
     others = dict.fromkeys(("tolerance", "model", "sha256"))
     solver = replace(scene.solver, kind="explicit", mass_scaling=1.0, **others)
-    return replace(scene, solver=solver)
+    return scene.with_solver(solver)
 
 
 def confirmed(

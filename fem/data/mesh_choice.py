@@ -64,15 +64,11 @@ class MeshChoice:
         set_(self, "folder", str(folder))
         set_(self, "mesh", mesh)
         set_(self, "kind", kind := self.kind or ("file" if self.file else "tumour"))
-        for field_ in fields(self)[1:]:
-            value = getattr(self, field_.name)
-            if value is None:
-                set_(self, field_.name, MESH_KINDS[kind].get(field_.name))
-            elif field_.name not in MESH_KINDS[kind]:
-                raise InputError(
-                    f"mesh.{field_.name} = {value!r} has no meaning for mesh.kind = '{kind}';"
-                    " leave it out"
-                )
+        unused = [own.name for own in fields(self)[1:] if own.name not in MESH_KINDS[kind]]
+        config.refuse_unused(self, unused, "mesh", f"mesh.kind = '{kind}'")
+        for name, usual in MESH_KINDS[kind].items():
+            if getattr(self, name) is None:
+                set_(self, name, usual)
         if kind == "file" and not self.file:
             raise InputError("mesh.kind = 'file' needs mesh.file, such as 'liver.vtu'")
 

@@ -1,6 +1,6 @@
 """A scene: everything that one dataset depends on, read from a TOML file."""
 
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,7 +34,14 @@ SOLVERS: dict[str, type[Solver] | type[QuasiStatic]] = {
 IMBALANCE = {"explicit": 0.01, "quasistatic": 0.05, "reduced": 0.05}
 # largest force out of balance: of inertia and damping, or what the modes of a reduced model leave
 DISEQUILIBRIUM = {"reduced": 0.1}
-EXPLICIT_ONLY = ("damping", "mass_scaling", "safety")
+# which settings of SolverChoice mean something for which kind
+SOLVER_KINDS = {
+    "explicit": {
+        "element", "precision", "hourglass_stiffness", "damping", "mass_scaling", "safety"
+    },
+    "quasistatic": {"element", "precision", "hourglass_stiffness", "tolerance"},
+    "reduced": {"precision", "model", "sha256"},
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,36 +70,14 @@ class SolverChoice:
     def __post_init__(self, folder: str | Path) -> None:
         config.normalised(self, "solver")
         object.__setattr__(self, "folder", str(folder))
-        self._check_kind()
-        if self.element != "reduced" and self.hourglass_stiffness is not None:
-            raise InputError(
-                f"solver.hourglass_stiffness = {self.hourglass_stiffness} has no meaning for"
-                f" solver.element = '{self.element}'; leave it out, or take element = 'reduced'"
-            )
-        if self.element == "reduced" and self.hourglass_stiffness is None:
+        every = {own.name for own in fields(self)} - {"kind"}
+        unused = sorted(every - SOLVER_KINDS[self.kind])
+        config.refuse_unused(self, unused, "solver", f"solver.kind = '{self.kind}'")
+        if self.element != "reduced":
+            reason = f"solver.element = '{self.element}'"
+            config.refuse_unused(self, ["hourglass_stiffness"], "solver", reason)
+        elif self.hourglass_stiffness is None:
             object.__setattr__(self, "hourglass_stiffness", 0.2)  # the solver's default
-
-    def _check_kind(self):
-        wrong = [
-            name for name in ("model", "sha256") if self.kind != "reduced" and getattr(self, name)
-        ]
-        if self.tolerance is not None and self.kind != "quasistatic":
-            wrong.append("tolerance")
-        if wrong:
-            of = "quasistatic" if wrong[-1] == "tolerance" else "reduced"
-            raise InputError(
-                f"solver.{wrong[-1]} = {getattr(self, wrong[-1])} has no meaning for solver.kind ="
-                f" '{self.kind}'; leave it out, or take kind = '{of}'"
-            )
-        if self.kind == "explicit":
-            return
-        for name in EXPLICIT_ONLY:
-            value = getattr(self, name)
-            if value != getattr(type(self), name):
-                raise InputError(
-                    f"solver.{name} = {value} has no meaning for solver.kind = '{self.kind}',"
-                    " which knows no mass and no stable step; leave it out"
-                )
         if self.kind == "reduced" and not self.model:
             raise InputError("solver.kind = 'reduced' needs solver.model, such as 'reduced.npz'")
         if self.kind == "quasistatic" and self.tolerance is None:
@@ -112,8 +97,13 @@ class SolverChoice:
 
     def settings(self) -> dict[str, Any]:
         """Its entries that mean something for its kind, by name; `kind` is the caller's."""
-        unused = ("kind",) if self.kind == "explicit" else ("kind", *EXPLICIT_ONLY)
-        return {name: value for name, value in config.to_dict(self).items() if name not in unused}
+        used = SOLVER_KINDS[self.kind] | {"element"}
+        return {name: value for name, value in config.to_dict(self).items() if name in used}
+
+    @property
+    def true_mass(self) -> bool:
+        """Whether tissue has its own inertia."""
+        return self.kind == "explicit" and self.mass_scaling == 1
 
     def build(self, mesh: HexMesh, material: Hyperelastic) -> Solver | QuasiStatic:
         """The solver of a mesh and its law."""
@@ -230,6 +220,20 @@ class Health:
         config.normalised(self, "health")
 
 
+def _unused_health(solver: SolverChoice, health: Health) -> dict[str, str]:
+    """{name: for what it means nothing} of the settings of `health` beside this solver."""
+    unused: dict[str, str] = {}
+    if solver.element != "reduced":
+        reason = f"solver.element = '{solver.element}'"
+        unused |= dict.fromkeys(("hourglass_motion", "hourglass_share"), reason)
+    if solver.true_mass:
+        reason = "the explicit solver with solver.mass_scaling = 1"
+        unused |= dict.fromkeys(("confirm", "mass_error"), reason)
+    elif not health.confirm:
+        unused["mass_error"] = "health.confirm = 0"
+    return unused
+
+
 @dataclass(frozen=True)
 class Scene:
     """Mesh, material, solver, contacts and interactions of one dataset.
@@ -250,6 +254,8 @@ class Scene:
     def __post_init__(self) -> None:
         config.normalised(self)
         object.__setattr__(self, "groups", check_groups(self.material, self.groups))
+        for name, reason in _unused_health(self.solver, self.health).items():
+            config.refuse_unused(self.health, [name], "health", reason)
         kind = self.solver.kind
         usual: dict[str, Any] = {
             "imbalance": IMBALANCE[kind],
@@ -286,6 +292,12 @@ class Scene:
         if self.solver.kind != "explicit":
             tree["solver"] = {"kind": self.solver.kind} | tree["solver"]
         return tree | {"material": to_table(self.material) | groups}
+
+    def with_solver(self, solver: SolverChoice) -> "Scene":
+        """This scene with another solver, and without the limits of health that mean nothing for
+        it."""
+        usual = config.defaults(Health, _unused_health(solver, self.health))
+        return replace(self, solver=solver, health=replace(self.health, **usual))
 
     def with_mesh(self, mesh: HexMesh, grid: tuple[int, int, int] | None = None) -> "Scene":
         """This scene on the HexMesh `mesh` (m), such as fem.mesh.read.read_mesh gives; its dataset

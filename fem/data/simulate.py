@@ -13,6 +13,7 @@ from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
 from fem.ranges import shown
+from fem.settings import takes
 from fem.solver.energy import EnergyLedger
 from fem.solver.load_ramp import NodalLoad
 
@@ -47,7 +48,10 @@ def simulate(
     if times.ndim != 1 or not times.size or times[0] < 0 or not (np.diff(times) > 0).all():
         raise InputError(f"times = {times} s must ascend, from 0 or later on")
     load = Load(surface_of(mesh), [push]) if isinstance(push, Push) else push
+    if not callable(load):
+        raise InputError(f"the push is {shown(push)}; give a Push, or a function of the time in s")
     if kind not in SOLVERS:
         raise InputError(f"kind '{kind}' is not one of {', '.join(SOLVERS)}")
+    takes(SOLVERS[kind], settings, f"the {kind} solver")
     solver = SOLVERS[kind](mesh, material, **settings)
     return stacked(simulate_frames(solver, load, times, [EnergyLedger()]))

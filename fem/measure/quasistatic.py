@@ -52,9 +52,9 @@ def scenes(scene: Scene) -> dict[str, Scene]:
     element = scene.solver.element
     explicit = SolverChoice(element, damping=DAMPING)
     return {
-        "true mass": replace(scene, solver=explicit),
-        "mass scaling 16": replace(scene, solver=replace(explicit, mass_scaling=SCALED)),
-        "quasi-static": replace(scene, solver=SolverChoice(element, kind="quasistatic")),
+        "true mass": scene.with_solver(explicit),
+        "mass scaling 16": scene.with_solver(replace(explicit, mass_scaling=SCALED)),
+        "quasi-static": scene.with_solver(SolverChoice(element, kind="quasistatic")),
     }
 
 

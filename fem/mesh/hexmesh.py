@@ -10,7 +10,7 @@ import numpy as np
 from fem.errors import InputError
 from fem.mesh import element
 from fem.mesh.contact_faces import contact_surface
-from fem.mesh.places import outer_faces
+from fem.mesh.places import boundary_faces
 from fem.mesh.select import select
 from fem.online.grid import NodeGrid
 
@@ -36,8 +36,8 @@ class HexMesh:
     congruent: every cell is the same parallelepiped, so one gradient matrix serves all
 
     The arrays are kept as read-only copies. Raises InputError that names an array of the wrong
-    shape or type, a node at no place, and a cell that is inverted, degenerate, given twice or of
-    nodes that are not there.
+    shape or type, a node at no place, and a cell that is inverted, degenerate, given twice, of
+    nodes that are not there or third at a face.
 
     >>> from fem.mesh.shapes import box
     >>> mesh = box((4, 3, 2), edge=1e-3).with_sets(fixed="z min, x min", loaded="top", tip="x max")
@@ -78,52 +78,13 @@ class HexMesh:
             raise InputError(
                 f"the mesh's grid has places for {self.grid.n_nodes} nodes, and the mesh has {n}"
             )
-        self._check_numbers()
+        check_cells(self.points, self.cells)
+        _ = self.boundary_faces  # refuses a face of three cells
         corners = self.points[self.cells]
         edges = corners - corners[:, :1]  # (E, 8, 3)
-        self._check_orientation(np.abs(edges).max())
         same = np.abs(edges - edges[0]).max() < 1e-9 * np.abs(edges[0]).max()
         warp = np.abs(element.HOURGLASS @ edges[0]).max() < 1e-9 * np.abs(edges[0]).max()
         set_(self, "congruent", bool(same and warp))
-
-    def _check_numbers(self):
-        if not np.isfinite(self.points).all():
-            raise InputError(
-                f"node {int(np.argmin(np.isfinite(self.points).all(1)))} has a position that is"
-                " not finite"
-            )
-        if not len(self.cells):
-            raise InputError("the mesh has no cells; give at least one hexahedron")
-        wrong = np.flatnonzero(((self.cells < 0) | (self.cells >= self.n_nodes)).any(axis=1))
-        if wrong.size:
-            raise InputError(
-                f"cell {wrong[0]} (nodes {self.cells[wrong[0]].tolist()}) uses a node that is not"
-                f" there; the mesh has the nodes 0 to {self.n_nodes - 1}"
-            )
-
-    def _check_orientation(self, size):
-        detJ = np.linalg.det(
-            element.jacobians(self.points, self.cells, np.vstack([element.CORNERS, element.CENTRE]))
-        )
-        bad = np.flatnonzero(detJ.min(axis=1) <= 1e-9 * size**3)
-        if bad.size:
-            e, corner = bad[0], int(detJ[bad[0]].argmin())
-            place = f"at its corner {corner}" if corner < 8 else "at its centre"
-            raise InputError(
-                f"cell {e} (nodes {self.cells[e].tolist()}) is inverted or degenerate: Jacobian"
-                f" {detJ[e].min():.3g} {place}"
-                f" ({bad.size} such cells); list its nodes in VTK order and repair its shape"
-            )
-        _, first, inverse = np.unique(
-            np.sort(self.cells, axis=1), axis=0, return_index=True, return_inverse=True
-        )
-        if len(first) < self.n_cells:
-            first = first[inverse.ravel()]
-            e = np.flatnonzero(first != np.arange(self.n_cells))[0]
-            raise InputError(
-                f"cell {e} (nodes {self.cells[e].tolist()}) is cell {first[e]} once more;"
-                " give each cell once"
-            )
 
     @cached_property
     def digest(self) -> str:
@@ -210,7 +171,7 @@ class HexMesh:
     def boundary_faces(self) -> np.ndarray:
         """(M, 4) node numbers of the faces that belong to one cell only, counter-clockwise seen
         from outside."""
-        return self.cells[:, element.FACES].reshape(-1, 4)[outer_faces(self.cells)]
+        return boundary_faces(self.cells)
 
     @cached_property
     def free_faces(self) -> np.ndarray:
@@ -233,6 +194,47 @@ class HexMesh:
     @cached_property
     def _contact_surface(self):
         return contact_surface(self)
+
+
+def check_cells(points: np.ndarray, cells: np.ndarray) -> None:
+    """Raises InputError that names one of the cells (E, 8), whose nodes are not among the points
+    (N, 3), or that is inverted, degenerate or given twice, and a point at no place."""
+    if not np.isfinite(points).all():
+        raise InputError(
+            f"node {int(np.argmin(np.isfinite(points).all(1)))} has a position that is not finite"
+        )
+    if not len(cells):
+        raise InputError("the mesh has no cells; give at least one hexahedron")
+    wrong = np.flatnonzero(((cells < 0) | (cells >= len(points))).any(axis=1))
+    if wrong.size:
+        raise InputError(
+            f"cell {wrong[0]} (nodes {cells[wrong[0]].tolist()}) uses a node that is not there; the"
+            f" mesh has the nodes 0 to {len(points) - 1}"
+        )
+    corners = points[cells]
+    size = np.abs(corners - corners[:, :1]).max()
+    detJ = np.linalg.det(
+        element.jacobians(points, cells, np.vstack([element.CORNERS, element.CENTRE]))
+    )
+    bad = np.flatnonzero(detJ.min(axis=1) <= 1e-9 * size**3)
+    if bad.size:
+        e, corner = bad[0], int(detJ[bad[0]].argmin())
+        place = f"at its corner {corner}" if corner < 8 else "at its centre"
+        raise InputError(
+            f"cell {e} (nodes {cells[e].tolist()}) is inverted or degenerate: Jacobian"
+            f" {detJ[e].min():.3g} {place}"
+            f" ({bad.size} such cells); list its nodes in VTK order and repair its shape"
+        )
+    _, first, inverse = np.unique(
+        np.sort(cells, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    if len(first) < len(cells):
+        first = first[inverse.ravel()]
+        e = np.flatnonzero(first != np.arange(len(cells)))[0]
+        raise InputError(
+            f"cell {e} (nodes {cells[e].tolist()}) is cell {first[e]} once more;"
+            " give each cell once"
+        )
 
 
 def _kept(name, values, shape, kinds, dtype):

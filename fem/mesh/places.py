@@ -3,6 +3,7 @@ cells."""
 
 import numpy as np
 
+from fem.errors import InputError
 from fem.mesh import element
 
 OPPOSITE = np.array(
@@ -12,10 +13,22 @@ OPPOSITE = np.array(
 
 def outer_faces(cells: np.ndarray) -> np.ndarray:
     """(M,) the faces of `cells` (E, 8) that belong to one cell only, as 6 * cell + face of
-    fem.mesh.element.FACES."""
+    fem.mesh.element.FACES. Raises InputError for a face of more than two cells."""
     faces = np.sort(cells[:, element.FACES].reshape(-1, 4), axis=1)
     _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
+    if count.max() > 2:
+        nodes = faces[first[count.argmax()]].tolist()
+        raise InputError(
+            f"{count.max()} cells share the face of nodes {nodes}, and tissue has room for two;"
+            " remove those that overlap"
+        )
     return np.sort(first[count == 1])
+
+
+def boundary_faces(cells: np.ndarray) -> np.ndarray:
+    """(M, 4) node numbers of the faces of `cells` (E, 8) that belong to one cell only,
+    counter-clockwise seen from outside. Raises InputError as `outer_faces` does."""
+    return cells[:, element.FACES].reshape(-1, 4)[outer_faces(cells)]
 
 
 def grid_places(cells: np.ndarray) -> np.ndarray | None:

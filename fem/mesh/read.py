@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse
 
 from fem.errors import InputError
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, check_cells
 from fem.mesh.select import value_set
 
 MOST_VALUES = 256  # of a field in the file that is turned into sets, "marker = 3" and so on
@@ -40,13 +40,12 @@ def read_mesh(
     try:
         cells, points = _hexahedra(file), file.points * float(scale)
         used = np.unique(cells)
-        # first with all points of the file, so that an error names its own node numbers
-        mesh = HexMesh(points, cells, np.zeros(len(points), bool))
+        check_cells(points, cells)  # with all points of the file: an error names its own numbers
         node_sets, cell_sets = _sets(file)
         mesh = HexMesh(
-            mesh.points[used],
+            points[used],
             np.searchsorted(used, cells),
-            mesh.fixed[used],
+            np.zeros(len(used), bool),
             node_sets={name: own[used] for name, own in node_sets.items()},
             cell_sets=cell_sets,
         ).with_sets(fixed, loaded)

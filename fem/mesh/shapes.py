@@ -147,8 +147,10 @@ def refined(mesh: HexMesh) -> HexMesh:
     """`mesh` with every cell cut into eight; on its node grid the old nodes are every second one.
 
     A new node belongs to a node set if all the old ones around it do; it is held, or loaded, if it
-    lies on an old boundary face whose nodes all are.
+    lies on an old boundary face whose nodes all are. Raises InputError for what is no mesh.
     """
+    if not isinstance(mesh, HexMesh):
+        raise InputError(f"{shown(mesh)} is no HexMesh; give one")
     weights = np.prod(1 + CUTS[:, None] * element.CORNERS, axis=2) / 8  # (27, 8)
     around = np.where(weights > 0, mesh.cells[:, None], -1)  # (E, 27, 8) old nodes around the new
     _, first, new = np.unique(

@@ -6,15 +6,16 @@
 
 r is the residual of fem.online.reduced. B is how the stiffness has changed since rest, seen at a
 few of the points, where the stress T, divided by c, is asked for once more; the step is Newton's,
-solved by KRYLOV generalized conjugate residuals. Symbols, blocks and sides are those of
+solved by KRYLOV generalized conjugate residuals. Further evaluations of a frame start where
+Anderson acceleration of these steps leads. Symbols, blocks and sides are those of
 fem.online.reduced, in whose file s and N stand beside the arrays of the reduced model:
 
     gain (R,)              s
     N<b> (R_b, 9 k)        of the stresses of k points a side, left and right folded as T is
     V<b> (R_b, R_b)        see fem.online.retissue; not in every file
-    guard (4,)             see unet_fem.runtime.guard; not in every file
-    effort (2,)            a frame whose last step is longer than effort[0] |a| gets another
-                           evaluation, up to effort[1] of them
+    guard (5,)             see unet_fem.runtime.guard; not in every file
+    effort (2,)            a frame whose last step or residual is longer than effort[0] |a| gets
+                           another evaluation, up to effort[1] of them
 
 unet_fem.networks.constitutive trains them. The stepper that knows nothing of them opens the file as
 well.
@@ -31,8 +32,10 @@ from fem.material.neo_hooke import NeoHooke
 from fem.online.point_law import NeoHookePoints
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import FORMAT, ReducedModel
+from fem.online.secants import Secants
 
 KRYLOV = 3  # conjugate residuals a step
+SECANTS = 5  # of a frame
 TINY = 1e-7  # mm2, where nothing is out of balance
 TRUST = 0.5  # a step is at most TRUST (|a| + 1 mm) long
 REMEDY = "train one with python tools/constitutive.py"
@@ -53,7 +56,8 @@ class ConstitutiveStepper(ReducedStepper):
     """A ReducedModel with a learned step as a Stepper for frames of any length.
 
     learned: {"gain", "N0", ..., "effort"}; effort: in place of the learned one; (1, 1) is always
-    one evaluation. After a step `unrest` is |last step| / |a|; see ReducedStepper for the rest.
+    one evaluation. After a step `unrest` is the longer of the last step and the residual before it,
+    beside |a|; see ReducedStepper for the rest.
     """
 
     def __init__(
@@ -65,6 +69,7 @@ class ConstitutiveStepper(ReducedStepper):
     ) -> None:
         share, most = learned["effort"] if effort is None else effort
         super().__init__(model, interval)
+        self._secants = Secants(model.modes, SECANTS)
         if not (0 < share <= 1 and most >= 1):
             raise InputError(f"effort = ({share}, {most}) must be a share up to 1 and at least 1")
         self.share, self.most = float(share), int(most)
@@ -91,15 +96,18 @@ class ConstitutiveStepper(ReducedStepper):
 
     def _solve(self, a):
         """The coordinates after one evaluation, or a few."""
-        a = a + (self.gain - 1) * self._correction
-        self.evaluations, size, length = 0, 0.0, 1.0
-        while self.evaluations < self.most and length > self.share * size:
-            step = limited(self._step(self.residual(a), a), a)
-            a = a + step
-            size, length = float(np.linalg.norm(a)), float(np.linalg.norm(step))
+        start, self.evaluations = a + (self.gain - 1) * self._correction, 0
+        self._secants.clear()
+        while True:
+            r = self.residual(start)
+            step = limited(self._step(r, start), start)
+            a = start + step
             self.evaluations += 1
-        self.unrest = length / (size + 1e-3)
-        return a
+            size = float(np.linalg.norm(a)) + 1e-3
+            self.unrest = max(float(np.linalg.norm(r)), float(np.linalg.norm(step))) / size
+            if self.evaluations >= self.most or self.unrest <= self.share:
+                return a
+            start = start + limited(self._secants.step(start, step), start)
 
     def _step(self, r, a):
         """Newton's step from a, where the residual r was last asked for."""
@@ -205,7 +213,7 @@ def learned_of(
     columns = learned["N0"].shape[-1]
     shapes: dict[str, tuple] = {"gain": (model.modes,), "effort": (2,)}
     shapes |= {f"N{b}": (len(block.M), columns) for b, block in enumerate(model.blocks)}
-    shapes |= dict.fromkeys(guard, (4,))
+    shapes |= dict.fromkeys(guard, (5,))
     shapes |= {name: (len(model.blocks[b].M),) * 2 for b, name in enumerate(shares)}
     for name, shape in shapes.items():
         found = learned[name]

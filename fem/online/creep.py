@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.errors import InputError
-from fem.online.stepper import State
+from fem.online.stepper import State, check_interval
+from fem.ranges import checked_array
 
 
 def exponential_weights(elapsed: float, tau: float) -> tuple[float, float, float]:
@@ -45,7 +46,7 @@ class Creep:
         is not positive, values that are not finite, and where sum g is 1 or more: such tissue flows
         without end.
         """
-        for g, tau in prony:
+        for g, tau in checked_array("prony", prony, (None, 2)) if np.size(prony) else ():
             if not (0 <= g < np.inf and 0 < tau < np.inf):
                 raise InputError(
                     f"the Prony series has (g, tau) = ({g}, {tau}); give g of at least 0 and"
@@ -100,7 +101,7 @@ class CreepFilter:
     def __init__(self, creep: Creep, shape: tuple[int, ...]) -> None:
         """shape: of the force, such as (N, 3), or (p,) of some of its components."""
         self.creep, self.shape = creep, tuple(shape)
-        self._elapsed = 0.0  # s, the interval that the weights are for
+        self._elapsed = math.nan  # s, the interval that the weights are for
         self.reset()
 
     def reset(self) -> None:
@@ -137,8 +138,7 @@ class CreepFilter:
     def _weigh(self, dt: float) -> None:
         """Set the matrix (terms + 1, terms + 2) from the rows of the state to the new r_k and
         f~."""
-        if not 0 < dt < np.inf:
-            raise InputError(f"dt = {dt} s must be positive and finite")
+        check_interval(None, dt)
         count = len(self.creep.terms)
         weights = np.zeros((count + 1, count + 2))
         weights[-1, -1] = 1.0
@@ -172,8 +172,10 @@ def remembered_force(creep: Creep, force: np.ndarray, interval: float) -> np.nda
     """What a CreepFilter gives at the frames of `force`.
 
     force: (..., frames, d), `interval` s apart and linear between, from none one interval before
-    the first frame.
+    the first frame. Raises InputError as a CreepFilter does.
     """
+    if np.ndim(force) < 2:
+        raise InputError(f"the force has shape {np.shape(force)}; give (..., frames, d)")
     frames = np.moveaxis(np.asarray(force), -2, 0)
     memory = CreepFilter(creep, frames.shape[1:])
     return np.stack([memory.step(frame, interval) for frame in frames], axis=-2)

@@ -57,14 +57,13 @@ from fem.online.creep import Creep, CreepFilter
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.residual import Residual
+from fem.online.secants import Secants
 from fem.online.stepper import State, check_interval
 
 # chosen on validation interactions, see docs/reduced.md
 TOLERANCE, MOST, SECANTS = 2e-3, 20, 8
 FLOOR = 1e-4  # mm, of |r|: below it a frame is at rest whatever |a|
 WORSE = 4.0  # a step that raises |r|^2 so much is taken back
-REGULAR = 1e-8  # ridge of the secants, of the largest
-REACH = 10.0  # residuals that a step may be long; old secants of tiny frames would go anywhere
 
 
 class ReducedStepper:
@@ -96,9 +95,7 @@ class ReducedStepper:
         creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
         self._memory = CreepFilter(creep, (model.modes,))
         self._elapsed = 0.0  # s, the dt that the residual's filters are for
-        R = model.modes
-        self._dR, self._dX = np.zeros((2, SECANTS, R), np.float32)
-        self._gram = np.zeros((SECANTS, SECANTS))
+        self._secants = Secants(model.modes, SECANTS)
         self.reset()
 
     @classmethod
@@ -111,7 +108,7 @@ class ReducedStepper:
         self.residual.reset()
         self._memory.reset()
         self._correction = np.zeros(self.model.modes, np.float32)
-        self._count = 0  # of secants
+        self._secants.clear()
         self.a = np.zeros(self.model.modes, np.float32)
         self.evaluations, self.unrest, self.carried = 0, 0.0, True
 
@@ -153,63 +150,35 @@ class ReducedStepper:
         """The coordinates at which the frame is at rest, from a first guess; where that cannot be
         reached in `most` evaluations, the best."""
         residual, tried = self.residual, 0
-        best, kept, last, share = np.inf, None, None, 1.0
+        best, kept, taken, share = np.inf, None, False, 1.0
+        self._secants.begin()
         while tried < self.most:
             tried += 1
             r = residual(a)
             square = float(r @ r)
             if not square < WORSE * best:  # or NaN
-                self._count, share, last = 0, share / 2, None
+                self._secants.clear()
+                share, taken = share / 2, False
                 a = kept[0] + share * kept[1] if kept else np.zeros_like(a)
                 continue
-            if last is not None:
-                self._remember(a - last[0], r - last[1])
             if square < best:
                 best, kept, share = square, (a, r), 1.0
-            last, a = (a, r), self._next(a, r)
+            taken, a = True, a + self._secants.step(a, r)
             scale = float(a @ a)
             if square <= self.tolerance**2 * scale + FLOOR**2:
                 break
         self.evaluations = tried
-        if last is None:
+        if not taken:
             a = np.zeros_like(a) if kept is None else kept[0]
             residual(a)  # once more, so that the history is that of it
         self.unrest = float(np.sqrt(min(best, square) / max(float(a @ a), FLOOR**2)))
         return a
 
-    def _remember(self, da, dr):
-        """Keep a secant pair, in place of the oldest."""
-        slot = self._count % SECANTS
-        self._dR[slot] = dr
-        np.add(da, dr, out=self._dX[slot])
-        self._count += 1
-        kept = min(self._count, SECANTS)
-        self._gram[slot, :kept] = self._gram[:kept, slot] = self._dR[:kept] @ dr
-
-    def _next(self, a, r):
-        """Where the secants say that the residual is least."""
-        kept = min(self._count, SECANTS)
-        if not kept:
-            return a + r
-        gram = self._gram[:kept, :kept].copy()
-        diagonal = gram.ravel()[:: kept + 1]
-        diagonal += REGULAR * diagonal.max() + 1e-30
-        share = np.linalg.solve(gram, self._dR[:kept] @ r).astype(np.float32)
-        step = r - share @ self._dX[:kept]
-        if not step @ step <= REACH**2 * (r @ r):
-            self._count, step = 0, r
-        return a + step
-
     def state(self) -> State:
         """All that the next answer depends on: histories, the filters, the last correction and the
         secants."""
-        return self.residual.state() | {
-            **self._memory.state(),
-            "correction": self._correction.copy(),
-            "secants": np.stack([self._dR, self._dX]),
-            "gram": self._gram.copy(),
-            "count": np.array(self._count),
-        }
+        found = self.residual.state() | self._memory.state() | self._secants.state()
+        return found | {"correction": self._correction.copy()}
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
@@ -221,5 +190,4 @@ class ReducedStepper:
         self.residual.restore(state)
         self._memory.restore(state)
         self._correction = np.array(state["correction"], np.float32)
-        self._dR[:], self._dX[:] = state["secants"]
-        self._gram[:], self._count = state["gram"], int(state["count"])
+        self._secants.restore(state)

@@ -12,6 +12,7 @@ from fem.data.dataset import Dataset
 from fem.errors import InputError
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import ReducedModel
+from fem.ranges import number
 from fem.reduced.assemble import Assembly
 from fem.reduced.cubature import cubature
 from fem.reduced.judge import Verdict, judge
@@ -29,26 +30,19 @@ class Choice:
     of them the points see; points: m; hard: how many interactions of the split "hard" to learn
     from, beside "train"; frames: to choose the points by; seed: of the draws."""
 
-    modes: float = 240
-    inputs: int = 120
-    points: int = 200
-    hard: int = 0
-    frames: int = 150
-    seed: int = 0
+    modes: float = number(1e-9, 1_000_000, default=240)
+    inputs: int = number(1, 1_000_000, default=120)
+    points: int = number(1, 1_000_000, default=200)
+    hard: int = number(0, 1_000_000, default=0)
+    frames: int = number(1, 1_000_000, default=150)
+    seed: int = number(0, 2**32 - 1, default=0)
 
     def __post_init__(self) -> None:
         settings.normalised(self)
-        if not self.modes > 0:
-            raise InputError(f"modes = {self.modes:g} must be positive")
-        for name in ("inputs", "points", "frames"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)} must be at least 1")
         if self.inputs > self.modes >= 1:
             raise InputError(
                 f"inputs = {self.inputs} must be at most modes = {self.modes:g}, of which they are"
             )
-        if self.hard < 0:
-            raise InputError(f"hard = {self.hard} must not be negative")
 
 
 def learned(dataset: Dataset, hard: int) -> list[Which]:

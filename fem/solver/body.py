@@ -39,6 +39,12 @@ class DeformableBody:
             raise InputError(
                 f"solver.hourglass_stiffness = {hourglass_stiffness} must not be negative"
             )
+        orphans = np.setdiff1d(np.arange(mesh.n_nodes), mesh.cells)
+        if orphans.size:
+            raise InputError(
+                f"node {orphans[0]} belongs to no cell ({orphans.size} such nodes) and has no mass;"
+                " leave it out of the mesh"
+            )
         nu = np.max(poisson_ratio(material))
         if element == "full" and nu > LOCKING_NU and not allow_locking:
             raise InputError(

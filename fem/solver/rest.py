@@ -56,12 +56,13 @@ def equilibrium(
             f" got shape {load.shape}"
         )
     load = np.where(mesh.fixed[:, None], 0.0, load).T
+    relaxed = _relaxed(material)
     if not load.any():
+        Solver(mesh, relaxed, element, allow_locking=allow_locking)  # refuses what has no meaning
         return Equilibrium(np.zeros(mesh.points.shape), 0.0, 0)
     thick = thickness(mesh)
     # rest does not depend on mass: give all cells one stable step
     heavier = np.square(thick.max() / thick)
-    relaxed = _relaxed(material)
     for ramp in RAMPS:
         solver = Solver(mesh, relaxed, element, mass_scaling=heavier, allow_locking=allow_locking)
         solver.gate = None  # the residual says how near rest is

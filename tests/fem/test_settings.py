@@ -281,8 +281,8 @@ def test_merge_goes_table_by_table():
 
 
 def test_digest_changes_with_any_setting(tiny):
-    """Each single setting, given or default, changes the digest; giving a default explicitly does
-    not."""
+    """Each single setting, given or default, changes the digest, or has no meaning and is refused;
+    giving a default explicitly does not."""
     scene = config.build(Scene, tiny)
     full = tomllib.loads(scene.toml())
     assert config.build(Scene, full).digest() == scene.digest()
@@ -304,5 +304,9 @@ def test_digest_changes_with_any_setting(tiny):
             changed[table][key] = value + 1 if isinstance(value, int) else (value or 1.0) * 1.001
         if key in ("travel", "low", "onset") and changed[table][key] == value:
             changed[table][key] = [0.0, 9.0]
+        if key in ("hourglass_motion", "hourglass_share"):  # of the reduced element alone
+            with pytest.raises(InputError, match=f"health.{key} = .* has no meaning"):
+                config.build(Scene, changed)
+            continue
         digests.add(config.build(Scene, changed).digest())
-    assert len(digests) == len(settings) + 1
+    assert len(digests) == len(settings) - 2 + 1

@@ -1,15 +1,17 @@
-"""The weights of a guard, from interactions that nothing was learned from."""
+"""What a guard goes by, from interactions that nothing was learned from."""
 
 from collections.abc import Iterable
 
 import numpy as np
 import scipy.optimize
+import scipy.sparse
 
 from fem.data.dataset import Sequence
 from unet_fem.deployment.answers import muted
 from unet_fem.runtime.constitutive import ConstitutiveSurrogate
 
-COVERAGE = 0.9
+COVERAGE = 0.92  # of frames, for nine of ten of other interactions: frames of one are alike
+FAR = 0.99
 LEAST = 0.05  # mm, |u| over all nodes, below which no share of it is asked for
 
 
@@ -32,21 +34,30 @@ def watched(
     return np.array(features), np.array(errors)
 
 
-def guard_weights(features: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(4,) of unet_fem.runtime.guard.Guard, by split conformal prediction: an estimate from every
-    other frame, and the factor that covers COVERAGE of the rest.
+def fitted_guard(features: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(5,) of unet_fem.runtime.guard.Guard: weights by conformalized quantile regression (Romano,
+    Patterson and Candes, NeurIPS 2019), the linear quantile COVERAGE of the errors from every other
+    frame, times the factor that covers as many of the rest; and the size that FAR of the frames do
+    not exceed, beyond which there is too little to fit to.
 
-    What the modes miss of the force counts in full, for no frame of the data can tell its weight;
-    the others are the non-negative least squares of the errors.
+    What the modes miss of the force counts in full, for no frame of the data can tell its weight.
     """
     learned, kept = slice(0, None, 2), slice(1, None, 2)
-    rest = np.maximum(errors - features[:, 1], 0)
-    columns, scale = features[:, [0, 2, 3]], 1 / (errors + np.median(errors))
-    share, _ = scipy.optimize.nnls(
-        columns[learned] * scale[learned, None], rest[learned] * scale[learned]
-    )
-    estimate = np.array([share[0], 1.0, share[1], share[2]])
-    ratio = errors[kept] / np.maximum(features[kept] @ estimate, 1e-12)
+    weights = np.insert(_quantile(features[learned], errors[learned]), 1, 1.0)
+    ratio = errors[kept] / np.maximum(features[kept] @ weights, 1e-12)
     n = len(ratio)
     level = min(np.ceil((n + 1) * COVERAGE) / n, 1.0)
-    return estimate * np.quantile(ratio, level, method="higher")
+    weights = weights * np.quantile(ratio, level, method="higher")
+    return np.append(weights, np.quantile(features[:, 3], FAR))
+
+
+def _quantile(features, errors):
+    """Non-negative weights of all features but `missing`: the pinball loss, of errors relative to
+    their size, is least."""
+    columns, wanted = features[:, [0, 2, 3]], errors - features[:, 1]
+    n = len(wanted)
+    scale = 1 / (errors + np.median(errors))
+    cost = np.concatenate([np.zeros(3), COVERAGE * scale, (1 - COVERAGE) * scale])
+    unit = scipy.sparse.eye_array(n)
+    rows = scipy.sparse.hstack([scipy.sparse.csr_array(columns), unit, -unit])
+    return scipy.optimize.linprog(cost, A_eq=rows, b_eq=wanted, method="highs").x[:3]

@@ -11,6 +11,7 @@ from fem.cache import digest
 from fem.data.dataset import Dataset
 from fem.errors import InputError
 from fem.files import write_text
+from fem.locks import lock
 from fem.measure.timing import paired_ratio
 from unet_fem.deployment.exported import lite_file, model_file
 from unet_fem.deployment.latency import time_steppers
@@ -48,23 +49,24 @@ def smaller_run(
     parent = model_file(settings)
     model = load_model(parent)
     small = _smaller_settings(settings, model, share, by_filters, epochs, learning_rate)
-    prepare_folder(small, dataset, resume=(small.folder / "config.toml").is_file())
-    keep_input(small, dataset, run_input(settings, dataset))
-    done, origin = small.folder / "pruned", digest([], [parent])
-    if done.is_file():
-        if done.read_text() not in ("", origin):  # empty in runs made before 0.2
-            raise InputError(
-                f"{small.folder} is of an older {settings.folder}; delete it to make it again"
-            )
-        print(f"{small.folder} is done already; delete it to make it again")
-        return small
-    print(f"making {small.folder}: {epochs} epochs of fine-tuning", flush=True)
-    keras.utils.set_random_seed(small.train.seed)
-    if by_filters:
-        _thin_and_tune(model, small, dataset)
-    else:
-        _prune_and_tune(model, small, dataset, share)
-    write_text(done, origin)
+    with lock(small.folder):
+        prepare_folder(small, dataset, resume=(small.folder / "config.toml").is_file())
+        keep_input(small, dataset, run_input(settings, dataset))
+        done, origin = small.folder / "pruned", digest([], [parent])
+        if done.is_file():
+            if done.read_text() not in ("", origin):  # empty in runs made before 0.2
+                raise InputError(
+                    f"{small.folder} is of an older {settings.folder}; delete it to make it again"
+                )
+            print(f"{small.folder} is done already; delete it to make it again")
+            return small
+        print(f"making {small.folder}: {epochs} epochs of fine-tuning", flush=True)
+        keras.utils.set_random_seed(small.train.seed)
+        if by_filters:
+            _thin_and_tune(model, small, dataset)
+        else:
+            _prune_and_tune(model, small, dataset, share)
+        write_text(done, origin)
     return small
 
 

@@ -23,6 +23,7 @@ import tensorflow as tf
 from fem.data.dataset import Dataset
 from fem.errors import InputError
 from fem.online.input_field import InputField
+from fem.ranges import checked, checked_array
 from unet_fem.deployment.conv2d import reexpress
 from unet_fem.deployment.tflite_graph import (
     WEIGHTED,
@@ -53,6 +54,8 @@ def export(model: keras.Model, variant: str, windows: np.ndarray | None = None) 
             "full int8 is calibrated on force windows, and there are none but zeros;"
             " give training windows"
         )
+    if variant == "int8":
+        windows = checked_array("windows", windows, (None, *model.input_shape[1:]))
     flat = reexpress(correction(model))
     signature = [tf.TensorSpec(flat.input_shape, "float32", name="force")]
     with quiet():
@@ -97,8 +100,16 @@ def calibration_windows(
     %).
 
     force: training windows (S, [T,] nx, ny, nz, 3) mN. Returns (count, [T,] nx, ny, nz, 3), or
-    fewer if S is small.
+    fewer if S is small. Raises InputError for no windows, values that are not finite and numbers
+    out of range.
     """
+    checked("count", count, 2, 1_000_000, whole=True)
+    checked("margin", margin, 1, 100)
+    if np.ndim(force) not in (5, 6) or not len(force) or not np.isfinite(force).all():
+        raise InputError(
+            f"force windows of shape {np.shape(force)} must be finite and at least one, (S, [T,]"
+            " nx, ny, nz, 3)"
+        )
     half = min(count // 2, len(force))
     strongest = np.argsort(np.abs(force).reshape(len(force), -1).max(axis=1))[-half:]
     some = np.random.default_rng(seed).choice(len(force), half, replace=False)

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Protocol
 
 from fem.errors import InputError
-from fem.ranges import number
+from fem.ranges import checked_array, number
 from fem.settings import normalised
 from unet_fem.networks.block import block_channels, coarse_block
 
@@ -138,6 +138,8 @@ class Network:
     maker: of a Regression from a fem.data.dataset.Dataset alone, in place of both: maker(dataset).
     thinner: puts the weightiest part of a model into a smaller one, thinner(model, small). size:
     name of the setting that makes it smaller.
+    reads: which of a run's settings besides [model] it has a use for, as "table" or "table.name";
+    the others are refused.
     """
 
     label: str
@@ -147,6 +149,7 @@ class Network:
     maker: Reference | None = None
     thinner: Reference | None = None
     size: str | None = None
+    reads: tuple[str, ...] = ("train", "loss", "input", "samples")
 
     def build(
         self,
@@ -163,6 +166,9 @@ class Network:
         """
         if self.builder is None:
             raise InputError(f"a {self.label} is fitted, not trained; it has no Keras model")
+        checked_array("grid", grid, (3,), 2, 10_000, whole=True)
+        checked_array("scales", scales, (2,), 1e-12, 1e12)
+        options.check(grid)
         scaled = {"force_scale": scales[0], "displacement_scale": scales[1]}
         return resolve(self.builder)(grid, **options.own(), **scaled, mask=mask, lib=lib)
 
@@ -174,6 +180,10 @@ class Network:
             raise InputError(f"a {self.label} is trained, not fitted in closed form")
         own = {name: value for name, value in options.own().items() if name != "steps"}
         return resolve(self.fitter)(train, validation, mask, **own)
+
+    def uses(self, table: str, name: str) -> bool:
+        """Whether it has a use for the setting `name` of `table`."""
+        return table in self.reads or f"{table}.{name}" in self.reads
 
     @property
     def fitted(self) -> bool:
@@ -188,6 +198,7 @@ class Network:
         resolve(self.thinner)(model, small)
 
 
+JUDGED = ("input.memory", "loss.volume_threshold")  # the second is drawn into a figure
 NETWORKS = {
     "cnn_lstm": Network(
         "CNN-LSTM",
@@ -203,9 +214,18 @@ NETWORKS = {
         thinner="unet_fem.networks.thinning:thin_unet",
         size="filters",
     ),
-    "linear": Network("linear regression", Linear, fitter="unet_fem.networks.pod:linear"),
-    "pod": Network("POD regression", Pod, fitter="unet_fem.networks.pod:pod"),
-    "elastic": Network("linear elastic answer", Elastic, maker="fem.data.elastic:elastic_answer"),
+    "linear": Network(
+        "linear regression",
+        Linear,
+        fitter="unet_fem.networks.pod:linear",
+        reads=(*JUDGED, "samples"),
+    ),
+    "pod": Network(
+        "POD regression", Pod, fitter="unet_fem.networks.pod:pod", reads=(*JUDGED, "samples")
+    ),
+    "elastic": Network(
+        "linear elastic answer", Elastic, maker="fem.data.elastic:elastic_answer", reads=JUDGED
+    ),
 }
 
 

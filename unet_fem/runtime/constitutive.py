@@ -16,29 +16,32 @@ from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
 from fem.files import load_arrays, write_bytes
-from fem.online.constitutive import bulk_of, learned_of
+from fem.online.constitutive import SECANTS, bulk_of, learned_of, limited
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.retissue import with_tissue
+from fem.online.secants import Secants
 from fem.online.stepper import State, Stepper, check_interval
 from unet_fem.runtime.guard import Guard
 from unet_fem.runtime.rates import rates
 from unet_fem.runtime.surrogate import Surrogate
+from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 
 MEMORY = ("history", "slow", "correction")
 RATES = ("c", "past", "advance", "creep", "remembered")
 REMEDY = "make it again with python tools/constitutive.py"
+# where the guard's bound is above DOUBT, a frame settles to share / CARE; chosen on validation
+DOUBT, CARE = 0.01, 5.0
 
-
-FORMAT = "unet-fem constitutive 1"
+FORMAT = "unet-fem constitutive 2"
 
 
 class ConstitutiveSurrogate:
     """A constitutive network as a fem.online.stepper.Stepper for frames of any length.
 
     interval: s between calls that give no dt, or None. effort: (share, most): a frame whose last
-    step was longer than `share` of |a| gets another evaluation, up to `most`; the file's own if
-    None; (1, 1) is always one.
+    step or residual was longer than `share` of |a| gets another evaluation, up to `most`, and where
+    the guard's bound is above 1 % than a fifth of it; the file's own if None; (1, 1) is always one.
 
     After each step: `a` (R,) its coordinates in mm, `evaluations`, and where the file has a guard
     `bound`, a share of the displacement that the error of nine of ten frames like those of training
@@ -67,6 +70,7 @@ class ConstitutiveSurrogate:
             raise InputError(f"effort = {(share, most)} must be a share up to 1 and at least 1")
         self.share, self.most = float(share), int(most)
         self._bulk = bulk_of(self.model.law)  # of the data
+        self._secants = Secants(self.model.modes, SECANTS)
         self._take_tissue()
         self.reset()
 
@@ -74,10 +78,10 @@ class ConstitutiveSurrogate:
         self._in["bulk"]()[:] = bulk_of(self.model.law)
         self._prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
         self._dt: float | None = None
-        weights = self._learned.get("guard")
-        self._guarded = weights is not None
+        fitted = self._learned.get("guard")
+        self._guarded = fitted is not None
         stretched = float(np.abs(np.log(bulk_of(self.model.law) / self._bulk)).max())
-        self.guard = Guard(self.model, np.zeros(4) if weights is None else weights, stretched)
+        self.guard = Guard(self.model, np.zeros(5) if fitted is None else fitted, stretched)
         self._warned = False
 
     def _open(self, graph):
@@ -119,16 +123,14 @@ class ConstitutiveSurrogate:
         layout, g = self.fields.encode(np.asarray(force))
         self._g()[0] = g
         self._invoke()
-        self.evaluations = 1
-        while self.evaluations < self.most and self._signs()[0, 1] > self.share:
-            self._more()
+        self.evaluations, start = 1, None
+        if self._guarded:
+            self.guard.begin(self.fields, float(dt))  # type: ignore[arg-type]
+        while self._unsettled():
+            start = self._more(start)
         for into, out in self._moves:
             np.copyto(into(), out())
         self.a = self._a()[0].copy()
-        if self._guarded:
-            linear = self.a - self._in["correction"]()[0]
-            size, step = float(np.abs(self._u()).max()) ** 3, float(self._signs()[0, 1])
-            self.guard(self.fields, linear, step, size, float(dt))  # type: ignore[arg-type]
         if self.flagged and not self._warned:
             self._warned = True
             warnings.warn(
@@ -176,20 +178,42 @@ class ConstitutiveSurrogate:
         self._take_tissue()
         self.reset()
 
-    def _more(self):
-        """Another evaluation of the frame."""
+    def _unsettled(self):
+        """Whether the frame gets another evaluation."""
+        unrest, share = float(self._signs().max()), self.share
+        if self._guarded:
+            a = self._a()[0]
+            linear = a - self._out["new_correction"]()[0]
+            self.guard.judge(linear, a, unrest, float(np.abs(self._u()).max()))
+            if self.guard.bound > DOUBT:
+                share /= CARE
+        if unrest <= share:
+            return False
+        if self._guarded and self.evaluations == self.most > 1:
+            self.guard.flag(2)
+        return self.evaluations < self.most
+
+    def _more(self, start):
+        """Another evaluation of the frame, whose last one was from `start`, None for the first;
+        where it starts."""
+        a = self._a()[0].copy()
+        if start is None:
+            linear = a - self._out["new_correction"]()[0]
+            start = linear + self._learned["gain"] * self._in["correction"]()[0]
+            self._secants.clear()
+        step = a - start
+        start = start + limited(self._secants.step(start, step), start)
         given, again = self._in["given"], self._in["again"]
-        np.copyto(given(), self._a())
+        given()[0] = start
         again()[:] = 1
         self._invoke()
         again()[:] = 0
         self.evaluations += 1
+        return start
 
     def state(self) -> State:
         """All that the next answer depends on: stress history, creep filter, last correction."""
-        found = {name: self._in[name]()[0].copy() for name in MEMORY}
-        kept = self.guard.memory.state() | {"astray": np.array(self.guard.astray)}
-        return found | {f"guard_{name}": values for name, values in kept.items()}
+        return {name: self._in[name]()[0].copy() for name in MEMORY} | self.guard.state()
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
@@ -201,9 +225,7 @@ class ConstitutiveSurrogate:
             )
         for name in MEMORY:
             self._in[name]()[0] = state[name]
-        kept = {k.removeprefix("guard_"): v for k, v in state.items() if k.startswith("guard_")}
-        self.guard.astray = bool(kept.pop("astray"))
-        self.guard.memory.restore(kept)
+        self.guard.restore(state)
 
 
 def place(value: np.ndarray, into: np.ndarray) -> None:
@@ -242,7 +264,7 @@ def patched(graph: bytes, pairs: list[tuple[np.ndarray, np.ndarray]]) -> bytes:
 
 def open_surrogate(path: str | Path, **options: Any) -> Stepper:
     """The stepper of a .tflite file, a ConstitutiveSurrogate or a Surrogate; options go to it."""
-    if str(load_arrays(path, "format").get("format")) == FORMAT:
+    if str(load_arrays(path, "format").get("format")).startswith(FORMAT[:-1]):
         return ConstitutiveSurrogate(path, **options)
     return Surrogate(path, **options)
 
@@ -254,7 +276,9 @@ def read_constitutive(path: str | Path) -> dict[str, np.ndarray]:
         raise InputError(f"no surrogate {path}; {REMEDY}")
     arrays = load_arrays(path)
     if str(arrays.get("format")) != FORMAT:
-        raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
+        found = arrays.get("format")
+        raise InputError(f"{path} is not a whole '{FORMAT}' file (format: {found}); {REMEDY}")
+    check_graph(path, arrays, REMEDY)
     return arrays
 
 
@@ -262,5 +286,5 @@ def write_constitutive(path: str | Path, graph: bytes, arrays: dict[str, np.ndar
     """Write a file, at once or not at all: the bytes of a .tflite, and the arrays of a ReducedModel
     and of the guard."""
     archive = io.BytesIO()
-    np.savez(archive, format=FORMAT, **arrays)  # type: ignore[arg-type]
+    np.savez(archive, format=FORMAT, sha256=graph_digest(graph), **arrays)  # type: ignore[arg-type]
     write_bytes(path, graph + archive.getvalue())

@@ -62,7 +62,7 @@ def write_surrogate(
         interval=float(interval),
         largest_force=np.asarray(largest_force, float),
         label=label,
-        sha256=hashlib.sha256(model).hexdigest(),
+        sha256=graph_digest(model),
         **seen,
     )
     write_bytes(path, model + archive.getvalue())
@@ -84,12 +84,7 @@ def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
             f" but '{FORMAT_2}' and '{FORMAT_1}';"
             " make one with python tools/quantize.py runs/<name>"
         )
-    # LiteRT takes most damage for weights, and some of it ends the process; older files have none
-    if "sha256" in arrays and str(arrays["sha256"]) != _graph_digest(path):
-        raise InputError(
-            f"{path} is damaged: its graph is not the one that was written;"
-            " make it again with python tools/quantize.py runs/<name>"
-        )
+    check_graph(path, arrays, "make it again with python tools/quantize.py runs/<name>")
     if not _whole(arrays, found != FORMAT_1) or not _input_whole(arrays, found == FORMAT):
         raise InputError(
             f"{path} is damaged: its arrays are incomplete or do not fit each other;"
@@ -98,13 +93,24 @@ def read_surrogate(path: str | Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _graph_digest(path):
-    """SHA-256 of what lies before the archive in the file at `path`."""
+def graph_digest(graph: bytes) -> str:
+    """What tells a graph from a damaged one."""
+    return hashlib.sha256(graph).hexdigest()
+
+
+def check_graph(path: str | Path, arrays: dict[str, np.ndarray], remedy: str) -> None:
+    """Raises InputError unless what lies before the archive in the file at `path` is what it was
+    when its `graph_digest` was written as `sha256` of the arrays; files of before have none.
+
+    LiteRT takes most damage for weights, and some of it ends the process.
+    """
     with open(path, "rb") as file:
         with zipfile.ZipFile(file) as archive:
             size = min(member.header_offset for member in archive.infolist())
         file.seek(0)
-        return hashlib.sha256(file.read(size)).hexdigest()
+        graph = file.read(size)
+    if "sha256" in arrays and str(arrays["sha256"]) != graph_digest(graph):
+        raise InputError(f"{path} is damaged: its graph is not the one that was written; {remedy}")
 
 
 def _whole(arrays: dict[str, np.ndarray], with_nodes: bool) -> bool:

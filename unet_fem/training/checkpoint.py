@@ -9,7 +9,7 @@ from pathlib import Path
 import keras
 
 from fem.errors import InputError
-from fem.files import replacing, write_text
+from fem.files import replacing, seal, sealed, write_text
 from unet_fem.networks.files import check_links, load_model, save_model
 from unet_fem.training.run import read_history
 
@@ -34,10 +34,12 @@ class Checkpoint(keras.callbacks.Callback):
     def restore(self, model: keras.Model) -> int:
         """Load the checkpoint into the compiled `model`, if there is one. Returns the number of
         finished epochs. Raises InputError for a checkpoint that is damaged or another model's."""
-        if not self.weights.is_file():
+        if not self.weights.exists():
             return 0
         model.optimizer.build(model.trainable_variables)
         try:
+            if not sealed(self.weights):  # HDF5 reads zeros and flipped bits as weights
+                raise OSError("it is not what was written")
             check_links(self.weights)
             with warnings.catch_warnings():  # what does not fit is told in one line below
                 warnings.simplefilter("ignore")
@@ -80,3 +82,4 @@ class Checkpoint(keras.callbacks.Callback):
             save_model(self.model, self.folder / "best.keras")
         with replacing(self.weights) as partial:
             self.model.save_weights(partial)
+            seal(partial)

@@ -6,7 +6,6 @@ Lengths are in mm and volumes in mm3. A model compiled with these closures is lo
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import keras
@@ -15,7 +14,9 @@ from keras import ops
 
 from fem.data.dataset import Dataset
 from fem.errors import InputError
+from fem.mesh.places import boundary_faces
 from fem.online.volume import VOLUME_BAND
+from fem.ranges import checked, checked_array
 
 Tensor: TypeAlias = Any  # of Keras's backend, or an array
 Loss = Callable[[Tensor, Tensor], Tensor]  # (y_true, y_pred) -> (B,)
@@ -61,8 +62,7 @@ def volume_surface(dataset: Dataset, volume_of: str = "all") -> tuple[np.ndarray
             f"loss.volume_of = '{volume_of}', but the mesh of {dataset.path} has the cell sets"
             f" {have}{' and does not lie on the node grid' * (index is None)}; set it to 'all'"
         )
-    own = replace(mesh, cells=mesh.cells[chosen], cell_sets={})
-    return dataset.surface[0], index[own.boundary_faces]
+    return dataset.surface[0], index[boundary_faces(mesh.cells[chosen])]
 
 
 def volume_scale(
@@ -100,8 +100,12 @@ def volume_loss(
     force: (B, nx, ny, nz, 6).
 
     y_true: (B, nx, ny, nz, 3 or 6) mm (and mN). y_pred: (B, nx, ny, nz, 3) mm. points, faces: see
-    deformed_volume. Raises InputError for faces that do not bound a positive volume.
+    deformed_volume. Raises InputError for faces that do not bound a positive volume, and for
+    weights out of the ranges of unet_fem.training.settings.LossChoice.
     """
+    checked("weight", weight, 0, 1e6)
+    checked("threshold", threshold, 0, 10)
+    checked("direction_weight", direction_weight, 0, 1e6)
     origin = volume_at_rest(points, faces)
 
     def loss(y_true, y_pred):
@@ -190,12 +194,18 @@ class RelativeError(keras.metrics.Metric):
 
 def volume_at_rest(points: np.ndarray, faces: np.ndarray) -> float:
     """V_origin in mm3, a float. Raises InputError for faces that do not bound a positive volume."""
-    points, faces = np.asarray(points, dtype="float64"), np.asarray(faces)
+    faces = checked_array("faces", faces, (None, 4), whole=True)
+    if not len(faces):
+        raise InputError("there are no faces; give those around the cells, (M, 4)")
+    points = np.asarray(points)
+    if points.ndim != 2:  # of those that no face has there may be any
+        checked_array("points", points, (None, 3))
     if faces.min() < 0 or faces.max() >= len(points):
         found = f"{faces.min()} to {faces.max()}"
         raise InputError(
             f"faces use nodes {found} of {len(points)}; number nodes (i*ny + j)*nz + k"
         )
+    checked_array("points", points[np.unique(faces)], (None, 3))
     volume = float(deformed_volume(np.zeros((1, *points.shape)), points, faces)[0])
     if not volume > 0:
         raise InputError(

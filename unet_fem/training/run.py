@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from fem import settings as config
@@ -10,9 +12,10 @@ from fem.data.dataset import Dataset, open_dataset
 from fem.data.scene import Scene, load_scene
 from fem.errors import InputError
 from fem.files import read_json, vet_output, write_text
+from fem.locks import lock
 from fem.memory import require_memory
-from unet_fem.networks.registry import network
-from unet_fem.training.settings import Settings, foreign, from_tree
+from unet_fem.networks.registry import CnnLstm, network
+from unet_fem.training.settings import Settings, foreign, from_tree, unused, without
 
 # of the one table for all kinds that runs made before 0.2 hold in full
 OLD_DEFAULTS = {"units": 512, "steps": 2, "filters": 64}
@@ -28,12 +31,15 @@ def read_settings(folder: Path | str) -> Settings:
         )
     tree = config.read_toml(written)
     model = tree.get("model", {})
+    if not isinstance(model, dict):
+        return from_tree(tree)  # refuses it
+    kind = model.get("kind", CnnLstm.kind)
     # migration: runs made before 0.2 hold the options of every kind, those of others at their
-    # defaults
-    for name in foreign(model, network(model.get("kind", "cnn_lstm")).options):
+    # defaults, and those of later hold what a regression has no use for
+    for name in foreign(model, network(kind).options):
         if model[name] == OLD_DEFAULTS.get(name):
             del model[name]
-    return from_tree(tree)
+    return from_tree(without(tree, unused(kind)))
 
 
 # files of a run's folder: the digest of the mesh that it was trained on, the scene of its data
@@ -82,6 +88,15 @@ def open_run(folder: Path | str) -> tuple[Settings, Dataset]:
     dataset = open_dataset(settings.data).for_learning()
     check_dataset(folder, dataset)
     return settings, dataset
+
+
+@contextmanager
+def locked_run(folder: Path | str) -> Iterator[tuple[Settings, Dataset]]:
+    """What `open_run` gives, while no other command may write to the run. Raises InputError where
+    one does."""
+    settings, _ = open_run(folder)  # no lock lies beside what is no run
+    with lock(settings.folder):
+        yield open_run(folder)
 
 
 def model_file(settings: Settings) -> Path:

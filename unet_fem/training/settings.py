@@ -1,7 +1,7 @@
 """Settings of one training run, read from a TOML file and key=value overrides."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -63,14 +63,17 @@ class SampleChoice:
 
     def __post_init__(self) -> None:
         config.normalised(self, "samples")
+        if self.split == "interactions" and not self.each:
+            reason = "samples.split = 'interactions' with samples.each = 0"
+            config.refuse_unused(self, ["seed"], "samples", reason)
 
 
 @dataclass(frozen=True)
 class TrainChoice:
     """schedule "cosine" lets the learning rate fall to zero at the last epoch; precision is Keras's
-    policy. A regression is fitted in closed form and reads none of it."""
+    policy."""
 
-    epochs: int = number(1, 1_000_000)
+    epochs: int = number(1, 1_000_000, default=20)
     batch_size: int = number(1, 1_000_000, default=16)
     learning_rate: float = number(1e-12, 1, default=1e-3)
     schedule: Literal["cosine", "constant"] = "cosine"
@@ -84,12 +87,13 @@ class TrainChoice:
 @dataclass(frozen=True)
 class Settings:
     """name: of the folder under runs/; scene: scene file; data: HDF5 file, generated from the scene
-    if missing; model: the options of its kind, see unet_fem.networks.registry."""
+    if missing; model: the options of its kind, see unet_fem.networks.registry, whose row says which
+    of the other tables it reads; the rest is refused."""
 
     name: str
     scene: str
     data: str
-    train: TrainChoice
+    train: TrainChoice = field(default_factory=TrainChoice)
     model: Options = field(default_factory=CnnLstm)
     loss: LossChoice = field(default_factory=LossChoice)
     input: InputChoice = field(default_factory=InputChoice)
@@ -98,11 +102,9 @@ class Settings:
     def __post_init__(self) -> None:
         config.normalised(self)
         plain_name(self.name, "name")
-        if self.input.physics == "elastic" and self.fitted:
-            raise InputError(
-                f"input.physics = 'elastic' has no meaning for model.kind = '{self.model.kind}',"
-                " only for networks; leave it out"
-            )
+        for table, names in unused(self.model.kind).items():
+            reason = f"model.kind = '{self.model.kind}'"
+            config.refuse_unused(getattr(self, table), names, table, reason)
 
     @property
     def fitted(self) -> bool:
@@ -114,26 +116,67 @@ class Settings:
         """Of the run."""
         return Path("runs") / self.name
 
+    def with_model(self, model: Options) -> "Settings":
+        """These settings with another model, and without those that it has no use for."""
+        tables = {
+            table: replace(getattr(self, table), **config.defaults(TABLES[table], names))
+            for table, names in unused(model.kind).items()
+        }
+        return replace(self, model=model, **tables)
+
     def toml(self) -> str:
-        """The settings as a TOML file, with the options of the model's kind alone, and without
+        """The settings as a TOML file, with those alone that the model's kind reads, and without
         [input] and [samples] where they are the defaults."""
-        tree = config.to_dict(self)
+        tree = without(config.to_dict(self), unused(self.model.kind))
         for name, usual in (("input", InputChoice()), ("samples", SampleChoice())):
             if getattr(self, name) == usual:
-                del tree[name]
+                tree.pop(name, None)
         return config.dump_toml(tree)
 
 
-def load_settings(path: Path | str, overrides: Iterable[str] = ()) -> Settings:
+TABLES = {"train": TrainChoice, "loss": LossChoice, "input": InputChoice, "samples": SampleChoice}
+
+
+def unused(kind: str) -> dict[str, list[str]]:
+    """{table: names} of the settings besides [model] that this kind has no use for."""
+    row = network(kind)
+    return {
+        table: [own.name for own in fields(cls) if not row.uses(table, own.name)]
+        for table, cls in TABLES.items()
+    }
+
+
+def without(tree: dict, names: dict[str, list[str]]) -> dict:
+    """Nested dicts without the entries {table: names}, and without tables that become empty."""
+    left = {
+        table: {name: value for name, value in own.items() if name not in names[table]}
+        for table, own in tree.items()
+        if table in names and isinstance(own, dict)
+    }
+    return {name: left.get(name, own) for name, own in tree.items() if left.get(name, True)}
+
+
+def load_settings(
+    path: Path | str, overrides: Iterable[str] = (), say: Callable[[str], object] = str
+) -> Settings:
     """Settings from the TOML file at `path`, with ["key=value", ...] laid over it.
 
-    A model.kind among the overrides that is not the file's leaves out the file's [model] table,
-    whose options are those of another kind.
+    A model.kind among the overrides that is not the file's leaves out what the file says of its own
+    kind, which would be refused: its [model] table and the settings that the other kind has no use
+    for. say: is told what.
     """
     tree, changes = config.read_toml(path), config.parse_overrides(overrides)
-    wanted = _kind(changes, default=None)
-    if wanted is not None and wanted != _kind(tree):
-        tree.pop("model", None)
+    wanted, own = _kind(changes, default=None), _kind(tree)
+    if wanted is not None and wanted != own:
+        left = without({name: tree[name] for name in tree if name != "model"}, unused(wanted))
+        out = sorted({f"[{name}]" for name in tree.keys() - left.keys()}) + [
+            f"{table}.{name}"
+            for table in left.keys() & TABLES.keys()
+            for name in tree[table].keys() - left[table].keys()
+        ]
+        if out:
+            say(f"left out of {path}, for model.kind = '{wanted}': {', '.join(sorted(out))}")
+        tree = left
     return from_tree(config.merge(tree, changes))
 
 

@@ -17,6 +17,8 @@ from fem.data.scene import Scene
 from fem.errors import InputError
 from fem.generate import main
 
+TRUE_MASS = {"solver": {"mass_scaling": 1.0}}
+
 
 def test_the_sample_has_a_hard_one_first_and_is_spread_over_the_splits(tiny):
     """Three by default: a hard one, one of training and one of validation, drawn by the seed; none
@@ -39,7 +41,7 @@ def test_the_sample_has_a_hard_one_first_and_is_spread_over_the_splits(tiny):
     for count in (0, 5, 99):
         more = sampled(replace(scene, health=replace(scene.health, confirm=count)))
         assert len(more) == len(set(more)) == min(count, 27) and more[:3] == found[:count]
-    assert not sampled(replace(scene, solver=replace(scene.solver, mass_scaling=1.0)))
+    assert not sampled(config.build(Scene, config.merge(tree, TRUE_MASS)))
 
 
 def test_the_file_tells_the_distance_from_the_true_mass(tiny_dataset):
@@ -47,7 +49,7 @@ def test_the_file_tells_the_distance_from_the_true_mass(tiny_dataset):
     dataset = open_dataset(tiny_dataset)
     (row,) = dataset.confirmation
     assert (row["split"], row["number"]) == (b"test", 1)
-    true = replace(dataset.scene, solver=replace(dataset.scene.solver, mass_scaling=1.0))
+    true = dataset.scene.with_solver(replace(dataset.scene.solver, mass_scaling=1.0))
     mesh = dataset.fem_mesh
     exact = simulate(true, mesh, dataset.contacts("test", 1), surface_of(mesh))["displacement"]
     got = dataset.sequence("test", 1).displacement

@@ -87,10 +87,13 @@ def test_a_weight_of_nearly_nothing_is_none():
         ((-0.1, 1.0), (0.3, 2.0)),
         ((np.nan, 1.0),),
         ((np.inf, 1.0),),
+        ((0.3, 1.0, 2.0),),
+        "ab",
+        0.3,
     ],
 )
 def test_series_of_no_tissue_are_refused(prony):
-    with pytest.raises(InputError, match="give g of at least 0 and tau > 0"):
+    with pytest.raises(InputError, match="give g of at least 0 and tau > 0|prony = .* must be"):
         Creep.of(prony)
 
 

@@ -82,7 +82,8 @@ def test_a_scene_finds_its_model_beside_it(tiny, model, tmp_path):
     "solver, words",
     [
         ({"kind": "reduced"}, "needs solver.model"),
-        ({"model": "a.npz"}, "solver.model = a.npz has no meaning"),
+        ({"model": "a.npz"}, "solver.model = 'a.npz' has no meaning"),
+        ({"kind": "reduced", "model": "a.npz", "element": "reduced"}, "element = 'reduced'"),
         ({"kind": "reduced", "model": "a.npz", "mass_scaling": 4.0}, "mass_scaling = 4.0"),
         ({"kind": "reduced", "model": "a.npz", "tolerance": 0.1}, "tolerance = 0.1"),
     ],

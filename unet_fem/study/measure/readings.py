@@ -49,7 +49,7 @@ def run(
             _settings(path, [*changes, *[width] * half], name, many)
             for path, width in NETWORKS.items()
         ]
-        fitted = [replace(trained[0], model=options) for options in LINEAR]
+        fitted = [trained[0].with_model(options) for options in LINEAR]
         for settings in (*fitted, *trained):
             dataset = ensure_dataset(settings)
             samples = _samples(settings, dataset)

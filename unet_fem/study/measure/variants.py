@@ -2,7 +2,6 @@
 own."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +66,7 @@ def simulate_variant(
     """Write an interaction's displacement on the dataset's grid to `path`, or why it stopped."""
     mesh = refined(dataset.fem_mesh) if fine else dataset.fem_mesh
     try:
-        scene = replace(dataset.scene, solver=choice)
+        scene = dataset.scene.with_solver(choice)
         found = simulated(dataset, *case, scene, mesh)
     except SolverStopped as stop:
         save_arrays(path, stopped=stop.reason)
