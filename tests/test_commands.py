@@ -54,6 +54,10 @@ COMMANDS = {
         (["none.toml"], "none.toml"),
         (["a.toml", "--usual", "0"], "--usual 0"),
     ],
+    "tools/learning_curve.py": [
+        (["none.h5", "--judge", "none.h5"], "none.h5"),
+        (["none.h5", "--judge", "none.h5", "--sizes", "0"], "--sizes 0"),
+    ],
     "tools/make_lobe.py": [],
     "tools/modal.py": [
         (["none.h5", "none.npz", "out.npz"], "none.h5"),
