@@ -60,8 +60,8 @@ COMMANDS = {
     ],
     "tools/make_lobe.py": [],
     "tools/modal.py": [
-        (["none.h5", "none.npz", "out.npz"], "none.h5"),
-        (["none.h5", "none.npz", "out.npz", "--width", "0"], "--width 0"),
+        (["none.h5", "none.npz", "out.tflite"], "none.h5"),
+        (["none.h5", "none.npz", "out.tflite", "--width", "0"], "--width 0"),
     ],
     "tools/prune.py": [(["runs/none"], "runs/none"), (["runs/none", "--sparsity", "2"], "2")],
     "tools/quantize.py": [(["runs/none"], "runs/none")],

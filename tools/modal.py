@@ -1,11 +1,11 @@
 """Train a modal network on a dataset and its reduced model.
 
     python -m fem.reduce data/wide.h5 --hard 160 --modes 320 --inputs 120 --points 300
-    python tools/modal.py data/wide.h5 data/wide_reduced.npz runs/modal.npz --hard 160
+    python tools/modal.py data/wide.h5 data/wide_reduced.npz runs/modal.tflite --hard 160
 
-    python tools/modal.py data/tumour.h5 --judge runs/modal.npz
+    python tools/modal.py data/tumour.h5 --judge runs/modal.tflite
 
-runs/modal.npz then steps with NumPy alone: docs/modal.md.
+runs/modal.tflite then steps with NumPy and LiteRT alone: docs/modal.md.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from fem.data.dataset import open_dataset
 from fem.errors import InputError
 from fem.files import vet_output
 from fem.online.reduced_model import ReducedModel
-from unet_fem.runtime.modal import ModalStepper
+from unet_fem.runtime.modal import ModalSurrogate
 
 
 @command_line
@@ -28,7 +28,7 @@ def main(arguments=None):
     )
     parser.add_argument("dataset", help="HDF5 file of fem.generate")
     parser.add_argument("model", nargs="?", help="reduced model of it, a file of fem.reduce")
-    parser.add_argument("out", nargs="?", help="where to write the network (.npz)")
+    parser.add_argument("out", nargs="?", help="where to write the network (.tflite)")
     parser.add_argument("--judge", help="file to judge by the test and hard interactions instead")
     parser.add_argument("--interval", type=float, help="judge at frames of so many s")
     parser.add_argument("--first", type=int, help="judge by that many of each kind")
@@ -45,7 +45,7 @@ def main(arguments=None):
         raise InputError(f"--taught {options.taught} must not be negative")
     dataset = open_dataset(options.dataset).for_learning()
     if options.judge:
-        stepper = ModalStepper.open(options.judge)
+        stepper = ModalSurrogate(options.judge)
         return show(stepper, dataset, None, options.interval, options.first)
     if not options.out:
         raise InputError("give a reduced model and a file to write to, or --judge FILE")

@@ -55,13 +55,6 @@ STEPPERS = {
         "fem.online.reduced:ReducedStepper.open",
         "unet-fem reduced",
     ),
-    "modal": Kind(
-        "modal network",
-        "unet_fem.runtime.modal:ModalStepper",
-        ".npz",
-        "unet_fem.runtime.modal:ModalStepper.open",
-        "unet-fem modal",
-    ),
     "elastic": Kind("linear elastic answer", "fem.solver.elastic:elastic_stepper"),
     "fem": Kind("FEM", "fem.solver.frame_loop:FrameLoop"),
     "quasistatic": Kind("quasi-static FEM", "fem.solver.quasistatic_loop:QuasiStaticLoop"),

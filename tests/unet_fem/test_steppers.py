@@ -36,8 +36,8 @@ def test_an_object_is_taken_by_its_kind():
     assert isinstance(stepper("regression", regression()), RegressionStepper)
     assert isinstance(stepper("keras", unet(GRID, 1)), KerasStepper)
     known = "keras, litert, regression, reduced, elastic, fem"
-    with pytest.raises(InputError, match=f"'spectral' is not one of {known}"):
-        stepper("spectral")
+    with pytest.raises(InputError, match=f"'modal' is not one of {known}"):
+        stepper("modal")
 
 
 def test_every_row_names_what_exists():

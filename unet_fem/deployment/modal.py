@@ -3,16 +3,22 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tensorflow as tf
 
 from fem.data.dataset import Dataset
 from fem.online.reduced_model import ReducedModel
 from fem.reduced.build import held_out, learned, tested
 from fem.reduced.judge import Verdict, judge
 from unet_fem.deployment.answers import muted
-from unet_fem.deployment.conformal import guard_weights, watched
-from unet_fem.runtime.modal import ModalStepper, save_modal
+from unet_fem.deployment.conformal import fitted_guard, watched
+from unet_fem.deployment.constitutive import NOBODY
+from unet_fem.deployment.tflite import lite_converter, quiet
+from unet_fem.deployment.tflite_graph import audit, named_outputs
+from unet_fem.networks.modal import ModalNetwork
+from unet_fem.runtime.modal import ModalSurrogate, write_modal
 from unet_fem.training.constitutive import read_interactions
 from unet_fem.training.modal import Lessons, Recipe, largest_modes, taught, train_modal
 
@@ -43,7 +49,7 @@ def make_modal(
     recipe: Recipe = RECIPE,
     tell: Callable[[str], None] = print,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> ModalStepper:
+) -> ModalSurrogate:
     """The stepper of the network that is written to `path`, trained on what the model was made from
     and on what the model answers.
 
@@ -67,17 +73,65 @@ def make_modal(
         layers=choice.layers,
         remembered=choice.remembered,
     )
-    weights = network.weights_of_file() | {"guard": np.ones(4)}
+    graph = export_modal(network, model)
+    write_modal(path, graph, model, np.array(NOBODY))
     against = [one for some in held_out(dataset, hard).values() for one in some]
     sequences = (dataset.sequence(*one) for one in against)
-    features, errors = watched(ModalStepper(model, weights), sequences)
-    weights["guard"] = guard_weights(features, errors)
-    save_modal(path, model, weights)
-    return ModalStepper.open(path)
+    guard = fitted_guard(*watched(ModalSurrogate(path), sequences))
+    write_modal(path, graph, model, guard)
+    return ModalSurrogate(path)
+
+
+def export_modal(network: ModalNetwork, model: ReducedModel) -> bytes:
+    """The bytes of a .tflite file of one frame, of builtin operators alone.
+
+    In: inputs (1, 2 R) mm, [l; g]; kept (K + 1, p), the p_k and p of the last frame; weights
+    (K + 1, K + 2), fem.online.creep.filter_weights of the Prony series. Out: a (1, R) mm;
+    displacement (1, sides 3 h) mm of the left and then the right free nodes; new_kept.
+    """
+    decoders = [tf.constant(block.decoder.T) for block in model.blocks]
+    ends = np.cumsum([0] + [len(block.M) for block in model.blocks])
+    sign = np.ones((3, model.free.shape[1]), "float32")
+    if model.axis is not None:
+        sign[model.axis] = -1
+    terms, modes = len(model.prony), model.modes
+    rest: list[Any] = []
+
+    def nothing(p: Any) -> Any:
+        rest.append(p)
+        return 0 * p
+
+    a0 = network.frames(tf.zeros((1, 2 * modes)), nothing).numpy()
+    p0 = rest[0].numpy()
+
+    def frame(inputs: Any, kept: Any, weights: Any) -> dict:
+        memory = []
+
+        def remember(p: Any) -> Any:
+            found = tf.concat([kept, p - p0], 0)
+            new = weights @ found
+            memory.append(tf.concat([new[:-1], found[-1:]], 0))
+            return new[-1:]
+
+        a = inputs[:, :modes] + network.frames(inputs, remember) - a0
+        parts = zip(ends[:-1], ends[1:], decoders, strict=True)
+        u = [a[:, i:j] @ decoder for i, j, decoder in parts]
+        if len(u) == 2:
+            u = [u[0] + u[1], (u[0] - u[1]) * sign.reshape(1, -1)]
+        return {"a": a, "displacement": tf.concat(u, 1), "new_kept": memory[0]}
+
+    shapes = {"inputs": (1, 2 * modes), "kept": (terms + 1, network.remembered)}
+    shapes["weights"] = (terms + 1, terms + 2)
+    specs = [tf.TensorSpec(shape, "float32", name=name) for name, shape in shapes.items()]
+    with quiet():
+        traced = tf.function(frame, input_signature=specs).get_concrete_function()
+        data = lite_converter(traced, "float32").convert()
+        audit(data, "float32")
+    return named_outputs(data, sorted(traced.structured_outputs))
 
 
 def judge_modal(
-    stepper: ModalStepper,
+    stepper: ModalSurrogate,
     dataset: Dataset,
     groups: dict[str, list] | None = None,
     interval: float | None = None,

@@ -1,5 +1,5 @@
-"""The modal network: dense layers that correct the linear viscoelastic answer, in modal
-coordinates. NumPy alone.
+"""The modal network beside a user: force in mN to displacement in mm at any rate, with NumPy and
+LiteRT alone.
 
     l = g + sum_k j_k s_k                  linear answer to the force as tissue remembers it
     h = f(W_0 [l; g] + b_0)                f(x) = x / (1 + exp(-x))
@@ -15,81 +15,34 @@ rest is taken from p and from the answer, so that no force moves nothing. All de
 alone, through filters that are exact for any frame lengths: no answer comes back as an input, and
 nothing can run away.
 
-The arrays of a file `unet-fem modal 1`: those of a reduced model without points
-(fem.online.reduced) and, float32, S the size of a layer:
-
-    W0 (S, 2 R) 1/mm, b0 (S,); P (p, S); W1 (S, S + p), b1 (S,); W<n> (S, S), b<n> (S,)
-    out (R, S) mm              W
-    guard (4,)                 see unet_fem.runtime.guard
+The file is a .tflite graph of one frame (unet_fem.deployment.modal) and behind it, as a zip archive
+of NumPy arrays, a reduced model without points (fem.online.reduced) and what its guard goes by.
 """
 
+import io
 import warnings
 from pathlib import Path
 
 import numpy as np
+from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
-from fem.files import load_arrays, save_arrays
-from fem.online.creep import Creep, CreepFilter
+from fem.files import load_arrays, write_bytes
+from fem.online.creep import Creep, CreepFilter, filter_weights
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.stepper import State, check_interval
 from unet_fem.runtime.guard import Guard
+from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 
 FORMAT = "unet-fem modal 1"
-REMEDY = "train one with python tools/modal.py"
+REMEDY = "make it again with python tools/modal.py"
 
 
-class Layers:
-    """The dense layers of {"W0", "b0", "P", ..., "out"}, frame by frame.
-
-    inputs (2 R,): [l; g], to be written before a call of `features`; past (p,): q, before
-    `correction` of the same frame.
-    """
-
-    def __init__(self, weights: dict[str, np.ndarray]) -> None:
-        count = sum(name.startswith("W") for name in weights)
-        # f(2 y) = y (1 + tanh y): half the weights give y, and nothing overflows
-        halves = [(weights[f"W{n}"] / 2, weights[f"b{n}"] / 2) for n in range(count)]
-        self._first, self._second, *self._more = halves
-        self._P, self._out = weights["P"], weights["out"]
-        S = len(self._out[0])
-        self.inputs = np.zeros(self._first[0].shape[1], np.float32)
-        self._y, self._f, self._both = (
-            np.zeros(size, np.float32) for size in (S, S, S + len(self._P))
-        )
-        self._h, self.past = self._both[:S], self._both[S:]
-        self._p0, self._a0 = (np.zeros(len(W), np.float32) for W in (self._P, self._out))
-        self._p0 = self.features()
-        self._a0 = self.correction()
-
-    def features(self) -> np.ndarray:
-        """p of the inputs."""
-        self._h[:] = self._activation(*self._first, self.inputs)
-        return self._P @ self._h - self._p0
-
-    def correction(self) -> np.ndarray:
-        """a - l (R,) mm."""
-        self._h += self._activation(*self._second, self._both)
-        for W, b in self._more:
-            self._h += self._activation(W, b, self._h)
-        return self._out @ self._h - self._a0
-
-    def _activation(self, W, b, x):
-        y, f = self._y, self._f
-        np.dot(W, x, out=y)
-        y += b
-        np.tanh(y, out=f)
-        f += 1
-        f *= y
-        return f
-
-
-class ModalStepper:
+class ModalSurrogate:
     """A modal network as a fem.online.stepper.Stepper for frames of any length.
 
-    model: without points; weights: the arrays of the module's head. interval: s between calls that
-    give no dt, or None.
+    interval: s between calls that give no dt, or None.
 
     After each step: `a` (R,) its coordinates in mm, `bound`, a share of the displacement that the
     error of nine of ten frames like those of training does not exceed, and `flagged` with the
@@ -97,33 +50,46 @@ class ModalStepper:
     also a RuntimeWarning.
     """
 
-    def __init__(
-        self,
-        model: ReducedModel,
-        weights: dict[str, np.ndarray],
-        interval: float | None = None,
-    ) -> None:
+    def __init__(self, path: str | Path, interval: float | None = None, threads: int = 1) -> None:
         if interval is not None:
             check_interval(None, interval)
-        self.model, self.weights, self.interval = model, weights, interval
-        self.fields, self.grid = Fields(model), model.grid
-        self.layers, self.guard = Layers(weights), Guard(model, weights["guard"])
-        prony = tuple((float(g), float(tau)) for g, tau in model.prony)
-        self._creep = CreepFilter(Creep.of(prony), (model.modes,))
-        self._past = CreepFilter(Creep(prony), weights["P"].shape[:1])
+        self.path, self.interval = Path(path), interval
+        arrays = read_modal(path)
+        self.model = ReducedModel.of(arrays, path)
+        self.fields, self.grid = Fields(self.model), self.model.grid
+        self._open(threads)
+        self.guard = Guard(self.model, arrays["guard"])
+        prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
+        self._creep = CreepFilter(Creep.of(prony), (self.model.modes,))
+        self._forgets, self._dt = Creep(prony), 0.0
         self._warned = False
         self.reset()
 
-    @classmethod
-    def open(cls, path: Path | str, interval: float | None = None) -> "ModalStepper":
-        """That of the file at `path`. Raises InputError for another file."""
-        return cls(*load_modal(path), interval)
+    def _open(self, threads):
+        try:
+            found = Interpreter(str(self.path), num_threads=threads)
+            found.allocate_tensors()
+        except (ValueError, RuntimeError) as error:
+            raise InputError(
+                f"{self.path} cannot be loaded by LiteRT ({str(error).splitlines()[0]}); {REMEDY}"
+            ) from None
+        # views of the interpreter's memory, made anew at each call: it refuses to run while one is
+        # held
+        self._invoke = found.invoke
+        tensors = {d["name"]: d["index"] for d in found.get_input_details()}
+        tensors |= {d["name"]: d["index"] for d in found.get_output_details()}
+        names = "inputs", "kept", "weights", "a", "displacement", "new_kept"
+        if missing := set(names) - tensors.keys():
+            raise InputError(f"the graph in {self.path} has no {sorted(missing)[0]}; {REMEDY}")
+        self._inputs, self._kept, self._weights, self._a, self._u, self._new = (
+            found.tensor(tensors[name]) for name in names
+        )
 
     def reset(self) -> None:
         """Back to rest: no force in the past."""
         self._creep.reset()
-        self._past.reset()
         self.guard.reset()
+        self._kept()[:] = 0
         self.a = np.zeros(self.model.modes, np.float32)
 
     def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
@@ -131,17 +97,20 @@ class ModalStepper:
         grew linearly since; see fem.online.stepper.Stepper."""
         if dt is None:
             dt = self.interval
-        check_interval(None, dt)
+        if dt is None or dt != self._dt:
+            check_interval(None, dt)
+            self._weights()[:] = filter_weights(self._forgets, dt)  # type: ignore[arg-type]
+            self._dt = dt  # type: ignore[assignment]
         layout, g = self.fields.encode(np.asarray(force))
-        layers, elapsed = self.layers, float(dt)  # type: ignore[arg-type]
-        linear, inputs = layers.inputs[: len(g)], layers.inputs
-        linear[:], inputs[len(g) :] = self._creep.step(g, elapsed), g
-        layers.past[:] = self._past.step(layers.features(), elapsed)
-        self.a = layers.correction()
-        self.a += linear
-        u = self.fields.decode(self.a, layout)
-        size = max(float(u.max()), -float(u.min())) ** 3
-        self.guard(self.fields, linear, 0.0, size, elapsed)
+        linear = self._creep.step(g, self._dt).astype(np.float32)
+        inputs = self._inputs()[0]
+        inputs[: len(g)], inputs[len(g) :] = linear, g
+        del inputs
+        self._invoke()
+        self._kept()[:] = self._new()
+        self.a, u = self._a()[0].copy(), self._u()[0]
+        self.guard.begin(self.fields, self._dt)
+        self.guard.judge(linear, self.a, 0.0, max(float(u.max()), -float(u.min())))
         if self.flagged and not self._warned:
             self._warned = True
             warnings.warn(
@@ -150,7 +119,7 @@ class ModalStepper:
                 RuntimeWarning,
                 stacklevel=2,
             )
-        return u
+        return self.fields.placed(u, layout)
 
     @property
     def bound(self) -> float:
@@ -162,13 +131,9 @@ class ModalStepper:
         """Of the last frame."""
         return bool(self.guard.reason)
 
-    def _memories(self):
-        return {"force": self._creep, "features": self._past, "guard": self.guard.memory}
-
     def state(self) -> State:
         """All that the next answer depends on: what is remembered of forces and features."""
-        found = {f"{n}_{k}": v for n, m in self._memories().items() for k, v in m.state().items()}
-        return found | {"astray": np.array(self.guard.astray)}
+        return {"features": self._kept().copy()} | self._creep.state() | self.guard.state()
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
@@ -178,42 +143,29 @@ class ModalStepper:
             raise InputError(
                 "the state is of another stepper; restore what state() of the same stepper gave"
             )
-        for name, memory in self._memories().items():
-            own = f"{name}_"
-            memory.restore({k.removeprefix(own): v for k, v in state.items() if k.startswith(own)})
-        self.guard.astray = bool(state["astray"])
+        self._kept()[:] = state["features"]
+        self._creep.restore(state)
+        self.guard.restore(state)
 
 
-def save_modal(path: Path | str, model: ReducedModel, weights: dict[str, np.ndarray]) -> None:
-    """Write a network to `path` (.npz), at once or not at all."""
-    save_arrays(path, format=FORMAT, **model.arrays(), **weights)
-
-
-def load_modal(path: Path | str) -> tuple[ReducedModel, dict[str, np.ndarray]]:
-    """(model, weights) of the file at `path`. Raises InputError for one that is missing, damaged or
-    another's."""
+def read_modal(path: str | Path) -> dict[str, np.ndarray]:
+    """{name: array} of what stands behind the graph in the file at `path`. Raises InputError for
+    another file."""
     if not Path(path).is_file():
         raise InputError(f"no modal network {path}; {REMEDY}")
     arrays = load_arrays(path)
-    if str(arrays.pop("format", None)) != FORMAT:
-        raise InputError(f"{path} is not a whole '{FORMAT}' file; {REMEDY}")
-    model = ReducedModel.of(arrays, path)
-    return model, _weights(model, arrays, path)
+    if str(arrays.get("format")) != FORMAT:
+        found = arrays.get("format")
+        raise InputError(f"{path} is not a whole '{FORMAT}' file (format: {found}); {REMEDY}")
+    check_graph(path, arrays, REMEDY)
+    guard = arrays.get("guard")
+    if guard is None or guard.shape != (5,) or not np.isfinite(guard).all():
+        raise InputError(f"{path}: guard must be five finite numbers; {REMEDY}")
+    return arrays
 
 
-def _weights(model, arrays, path):
-    """The layers and the guard among `arrays`. Raises InputError where they do not fit."""
-    layers = sum(f"W{n}" in arrays for n in range(len(arrays)))
-    size, kept = (np.shape(arrays.get(name, 0.0))[:1] for name in ("W0", "P"))
-    if layers < 2 or not size or not kept:
-        raise InputError(f"{path} does not hold W0, W1 and P; {REMEDY}")
-    S, R = size[0], model.modes
-    shapes = {"W0": (S, 2 * R), "P": (kept[0], S), "W1": (S, S + kept[0])}
-    shapes |= {f"W{n}": (S, S) for n in range(2, layers)}
-    shapes |= {f"b{n}": (S,) for n in range(layers)} | {"out": (R, S), "guard": (4,)}
-    for name, shape in shapes.items():
-        found = arrays.get(name)
-        fits = found is not None and found.shape == shape and found.dtype.kind == "f"
-        if not (fits and np.isfinite(found).all()):
-            raise InputError(f"{path}: {name} must be finite and of shape {shape}; {REMEDY}")
-    return {name: np.ascontiguousarray(arrays[name], np.float32) for name in shapes}
+def write_modal(path: str | Path, graph: bytes, model: ReducedModel, guard: np.ndarray) -> None:
+    """Write a file, at once or not at all."""
+    archive, arrays = io.BytesIO(), model.arrays() | {"guard": guard}
+    np.savez(archive, format=FORMAT, sha256=graph_digest(graph), **arrays)  # type: ignore[arg-type]
+    write_bytes(path, graph + archive.getvalue())

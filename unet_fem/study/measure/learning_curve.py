@@ -179,7 +179,7 @@ def make_answer(answer: str, part: Dataset, folder: Path) -> tuple[Any, float]:
         files = make_network(part, model, folder, recipe=constitutive.Recipe(), tell=_silent)
         stepper = open_stepper(files["float32"])
     else:
-        stepper = modal.make_modal(part, model, folder / "modal.npz", choice=MODAL, tell=_silent)
+        stepper = modal.make_modal(part, model, folder / "modal.tflite", choice=MODAL, tell=_silent)
     return stepper, before + time.process_time() - start
 
 
