@@ -58,7 +58,15 @@ COMMANDS = {
         (["none.npz", "none.csv", "--position", "0", "0", "0"], "none.csv"),
         (["none.npz", "a.csv", "--position", "0", "0", "0", "--terms", "9"], "--terms = 9"),
     ],
+    "tools/learning_curve.py": [
+        (["none.h5", "--judge", "none.h5"], "none.h5"),
+        (["none.h5", "--judge", "none.h5", "--sizes", "0"], "--sizes 0"),
+    ],
     "tools/make_lobe.py": [],
+    "tools/modal.py": [
+        (["none.h5", "none.npz", "out.tflite"], "none.h5"),
+        (["none.h5", "none.npz", "out.tflite", "--width", "0"], "--width 0"),
+    ],
     "tools/press.py": [
         (["none.h5", "none.npz"], "none.h5"),
         (["none.h5", "none.npz", "--depth", "0"], "--depth = 0"),

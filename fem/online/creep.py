@@ -88,6 +88,21 @@ class Creep:
         return total
 
 
+def filter_weights(creep: Creep, dt: float) -> np.ndarray:
+    """(terms + 1, terms + 2) from the r_k of dt seconds ago, the force of then and that of now to
+    the r_k and f~ of now, see CreepFilter. Raises InputError for a dt that is not positive and
+    finite."""
+    check_interval(None, dt)
+    count = len(creep.terms)
+    weights = np.zeros((count + 1, count + 2))
+    weights[-1, -1] = 1.0
+    for k, (weight, time) in enumerate(creep.terms):
+        a, old, new = exponential_weights(dt, time)
+        weights[k, [k, -2, -1]] = 1 - a, a * old, a * new
+        weights[-1] += weight * weights[k]
+    return weights
+
+
 class CreepFilter:
     """f~(t) = integral of D(t - s) df(s), a sampled force as creeping tissue remembers it: under
     f~ an elastic tissue of the same stiffness moves alike, as far as it is linear.
@@ -136,17 +151,7 @@ class CreepFilter:
         return remembered
 
     def _weigh(self, dt: float) -> None:
-        """Set the matrix (terms + 1, terms + 2) from the rows of the state to the new r_k and
-        f~."""
-        check_interval(None, dt)
-        count = len(self.creep.terms)
-        weights = np.zeros((count + 1, count + 2))
-        weights[-1, -1] = 1.0
-        for k, (weight, time) in enumerate(self.creep.terms):
-            a, old, new = exponential_weights(dt, time)
-            weights[k, [k, -2, -1]] = 1 - a, a * old, a * new
-            weights[-1] += weight * weights[k]
-        self._weights, self._elapsed = weights, dt
+        self._weights, self._elapsed = filter_weights(self.creep, dt), dt
 
     def state(self) -> State:
         """{"remembered": (terms + 1, *shape)}: the r_k and the last force; empty without terms."""

@@ -30,9 +30,9 @@ def judge(
     which: Iterable[tuple[str, int]],
     interval: float | None = None,
 ) -> Verdict:
-    """The Verdict of a Stepper that counts its `evaluations` over some interactions (split, number)
-    of a dataset, at its own frames; or at frames of `interval` s, against quasi-static simulations
-    of the same contacts."""
+    """The Verdict of a Stepper, which may count its `evaluations`, over some interactions (split,
+    number) of a dataset, at its own frames; or at frames of `interval` s, against quasi-static
+    simulations of the same contacts."""
     dt = interval or float(dataset.time[1] - dataset.time[0])
     errors, sizes, spent, evaluations = [], [], [], 0
     for split, number in which:
@@ -45,7 +45,7 @@ def judge(
             start = time.thread_time()
             answer = stepper.step(force, dt)
             spent.append(time.thread_time() - start)
-            evaluations += stepper.evaluations
+            evaluations += getattr(stepper, "evaluations", 1)
             error += _squares(answer - truth)
         errors.append(error)
         sizes.append(_squares(one.displacement))

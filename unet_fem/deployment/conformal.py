@@ -9,6 +9,7 @@ import scipy.sparse
 from fem.data.dataset import Sequence
 from unet_fem.deployment.answers import muted
 from unet_fem.runtime.constitutive import ConstitutiveSurrogate
+from unet_fem.runtime.modal import ModalSurrogate
 
 COVERAGE = 0.92  # of frames, for nine of ten of other interactions: frames of one are alike
 FAR = 0.99
@@ -16,7 +17,7 @@ LEAST = 0.05  # mm, |u| over all nodes, below which no share of it is asked for
 
 
 def watched(
-    surrogate: ConstitutiveSurrogate, sequences: Iterable[Sequence]
+    surrogate: ConstitutiveSurrogate | ModalSurrogate, sequences: Iterable[Sequence]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(features (S, 4), relative errors (S,)) of the frames of some interactions."""
     features, errors = [], []

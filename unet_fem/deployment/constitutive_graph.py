@@ -3,14 +3,13 @@ force to the displacement, history in and out."""
 
 from typing import Any
 
-import flatbuffers
 import numpy as np
 import tensorflow as tf
 
 from fem.errors import InputError
 from fem.online.reduced_model import ReducedModel
 from unet_fem.deployment.tflite import lite_converter, quiet
-from unet_fem.deployment.tflite_graph import audit, parts_of
+from unet_fem.deployment.tflite_graph import audit, named_outputs
 from unet_fem.networks.constitutive import ConstitutiveCell, Memory, Rates
 from unet_fem.runtime.rates import rates
 
@@ -58,16 +57,4 @@ def export_constitutive(
         traced = tf.function(frame, input_signature=specs).get_concrete_function()
         data = lite_converter(traced, variant).convert()
         audit(data, "float32")
-    return _named(data, sorted(traced.structured_outputs))
-
-
-def _named(data, names):
-    """`data` with names for its outputs, which the converter calls Identity, Identity_1, ..."""
-    parts = parts_of(data)
-    tensors = parts.subgraphs[0].tensors
-    for index in parts.subgraphs[0].outputs:
-        _, _, number = tensors[index].name.decode().partition("_")
-        tensors[index].name = names[int(number or 0)]
-    builder = flatbuffers.Builder(len(data))
-    builder.Finish(parts.Pack(builder), b"TFL3")
-    return bytes(builder.Output())
+    return named_outputs(data, sorted(traced.structured_outputs))

@@ -106,3 +106,16 @@ def _check_int8(parts, variant):
                     f"{variant}: {operator_name(parts, op)} '{tensor.name.decode()}'"
                     f" has no int8 {what}; {REMEDY}"
                 )
+
+
+def named_outputs(data: bytes, names: list[str]) -> bytes:
+    """The .tflite file `data` with `names` for its outputs, which the converter calls Identity,
+    Identity_1, ..."""
+    parts = parts_of(data)
+    tensors = parts.subgraphs[0].tensors
+    for index in parts.subgraphs[0].outputs:
+        _, _, number = tensors[index].name.decode().partition("_")
+        tensors[index].name = names[int(number or 0)]
+    builder = flatbuffers.Builder(len(data))
+    builder.Finish(parts.Pack(builder), b"TFL3")
+    return bytes(builder.Output())

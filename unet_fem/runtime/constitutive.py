@@ -23,6 +23,8 @@ from fem.online.retissue import with_tissue
 from fem.online.secants import Secants
 from fem.online.stepper import State, Stepper, check_interval
 from unet_fem.runtime.guard import Guard
+from unet_fem.runtime.modal import FORMAT as MODAL
+from unet_fem.runtime.modal import ModalSurrogate
 from unet_fem.runtime.rates import rates
 from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.runtime.surrogate_file import check_graph, graph_digest
@@ -263,9 +265,13 @@ def patched(graph: bytes, pairs: list[tuple[np.ndarray, np.ndarray]]) -> bytes:
 
 
 def open_surrogate(path: str | Path, **options: Any) -> Stepper:
-    """The stepper of a .tflite file, a ConstitutiveSurrogate or a Surrogate; options go to it."""
-    if str(load_arrays(path, "format").get("format")).startswith(FORMAT[:-1]):
+    """The stepper of a .tflite file, a ConstitutiveSurrogate, ModalSurrogate or Surrogate; options
+    go to it."""
+    form = str(load_arrays(path, "format").get("format"))
+    if form.startswith(FORMAT[:-1]):
         return ConstitutiveSurrogate(path, **options)
+    if form.startswith(MODAL[:-1]):
+        return ModalSurrogate(path, **options)
     return Surrogate(path, **options)
 
 
