@@ -13,7 +13,8 @@ fem.online.reduced, in whose file s and N stand beside the arrays of the reduced
     gain (R,)              s
     N<b> (R_b, 9 k)        of the stresses of k points a side, left and right folded as T is
     V<b> (R_b, R_b)        see fem.online.retissue; not in every file
-    guard (5,)             see unet_fem.runtime.guard; not in every file
+    guard (2, 5)           see unet_fem.runtime.guard, for this effort and for one evaluation
+                           always; not in every file
     effort (2,)            a frame whose last step or residual is longer than effort[0] |a| gets
                            another evaluation, up to effort[1] of them
 
@@ -213,7 +214,7 @@ def learned_of(
     columns = learned["N0"].shape[-1]
     shapes: dict[str, tuple] = {"gain": (model.modes,), "effort": (2,)}
     shapes |= {f"N{b}": (len(block.M), columns) for b, block in enumerate(model.blocks)}
-    shapes |= dict.fromkeys(guard, (5,))
+    shapes |= dict.fromkeys(guard, (2, 5))
     shapes |= {name: (len(model.blocks[b].M),) * 2 for b, name in enumerate(shares)}
     for name, shape in shapes.items():
         found = learned[name]

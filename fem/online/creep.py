@@ -9,6 +9,8 @@ from fem.errors import InputError
 from fem.online.stepper import State, check_interval
 from fem.ranges import checked_array
 
+RELAXED, MOST = 0.2, 1000  # see steps_within
+
 
 def exponential_weights(elapsed: float, tau: float) -> tuple[float, float, float]:
     """(a, old, new) of r <- r + a (old f_old + new f_new - r), the solution of r' = (f - r) / tau
@@ -103,6 +105,23 @@ def filter_weights(creep: Creep, dt: float) -> np.ndarray:
     return weights
 
 
+def steps_within(prony: tuple[tuple[float, float], ...], dt: float) -> int:
+    """How many steps a frame of dt seconds takes, so that the stress runs nearly linearly over
+    each: RELAXED of it at most relaxes in one. MOST at most."""
+    if relaxing(prony, dt) <= RELAXED:
+        return 1
+    low, high = 0.0, dt
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (low, middle) if relaxing(prony, middle) > RELAXED else (middle, high)
+    return min(math.ceil(dt / low), MOST) if low else MOST
+
+
+def relaxing(prony: tuple[tuple[float, float], ...], dt: float) -> float:
+    """The share of a held stress that relaxes in dt seconds, 1 - G(dt)."""
+    return -sum(g * math.expm1(-dt / tau) for g, tau in prony)
+
+
 class CreepFilter:
     """f~(t) = integral of D(t - s) df(s), a sampled force as creeping tissue remembers it: under
     f~ an elastic tissue of the same stiffness moves alike, as far as it is linear.
@@ -149,6 +168,11 @@ class CreepFilter:
         new[last] = now[-1]
         self._now, self._other = new, now
         return remembered
+
+    @property
+    def last(self) -> np.ndarray:
+        """The force of the last step, of `shape`; a view."""
+        return self._now[len(self.creep.terms)].reshape(self.shape)
 
     def _weigh(self, dt: float) -> None:
         self._weights, self._elapsed = filter_weights(self.creep, dt), dt

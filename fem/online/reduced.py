@@ -20,7 +20,8 @@ What passes from frame to frame, exact for stresses and forces that run linearly
     Q   = sum_k g_k ((1 - a_k) q_k + a_k old_k S_old)         S_e at the points, a_Q likewise of a
     q_k <- (1 - a_k) q_k + a_k old_k S_old + a_k new_k S_new
 
-Neither A, M, g nor the filters hold dt: frames may have any length, and lengths may change.
+Neither A, M, g nor the filters hold dt: frames may have any length, and lengths may change. Long
+ones are taken in steps.
 
 The arrays of a file `unet-fem reduced 1`, little-endian float32 unless said, C order. Two blocks
 where the body has a mirror plane: 0 of the even modes and 1 of the odd ones, a = [a_0; a_1]. h
@@ -53,7 +54,7 @@ from pathlib import Path
 import numpy as np
 
 from fem.errors import InputError
-from fem.online.creep import Creep, CreepFilter
+from fem.online.creep import Creep, CreepFilter, steps_within
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.residual import Residual
@@ -72,8 +73,10 @@ class ReducedStepper:
     interval: s between calls that give no dt, or None; tolerance: |r| / |a| at which a frame ends;
     most: evaluations a frame at most, 1 for a fixed effort
 
-    After a step `a` (R,) are its coordinates, `evaluations` how many it took, `unrest` the last
-    |r| / |a|, and `carried` whether all of the force stood at nodes that contacts push on.
+    A frame in which much of the stress relaxes is taken in steps, see
+    fem.online.creep.steps_within. After a frame `a` (R,) are its coordinates, `evaluations` how
+    many its last step took, `unrest` the last |r| / |a|, and `carried` whether all of the force
+    stood at nodes that contacts push on.
     """
 
     def __init__(
@@ -94,7 +97,7 @@ class ReducedStepper:
         self.fields, self.residual = Fields(model), Residual(model)
         creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
         self._memory = CreepFilter(creep, (model.modes,))
-        self._elapsed = 0.0  # s, the dt that the residual's filters are for
+        self._elapsed, self._steps = 0.0, 1  # s, the dt that the residual's filters are for
         self._secants = Secants(model.modes, SECANTS)
         self.reset()
 
@@ -117,13 +120,28 @@ class ReducedStepper:
         grew linearly since; see fem.online.stepper.Stepper."""
         dt = self.take(dt)
         layout, g = self.fields.encode(np.asarray(force))
+        self.carried = self.fields.carried
+        if self._steps == 1:
+            self._frame(g, dt)
+        else:
+            self._in_steps(g, dt)
+        return self.fields.decode(self.a, layout)
+
+    def _in_steps(self, g, dt):
+        """A frame in several, under a force that grows linearly."""
+        count, old = self._steps, self._memory.last.copy()
+        self.residual.set_interval(dt / count)
+        for step in range(1, count + 1):
+            self._frame((old + step / count * (g - old)).astype(np.float32), dt / count)
+        self.residual.set_interval(dt)
+
+    def _frame(self, g, dt):
+        """A frame under the force whose elastic answer is g (R,) mm."""
         linear = self._memory.step(g, dt).astype(np.float32)
         self.residual.begin(g)
         with np.errstate(all="ignore"):  # a guess may be anything; what is not finite is taken back
             self.a = self._solve(linear + self._correction)
         self._end(linear)
-        self.carried = self.fields.carried
-        return self.fields.decode(self.a, layout)
 
     def take(self, dt: float | None) -> float:
         """The dt in s of a frame that begins, `interval` for None. Raises InputError for one that
@@ -133,6 +151,7 @@ class ReducedStepper:
         if dt is None or dt != self._elapsed:
             check_interval(None, dt)
             self._elapsed = float(dt or 0)
+            self._steps = steps_within(tuple(self.residual.prony), self._elapsed)
             self.residual.set_interval(self._elapsed)
         return self._elapsed
 

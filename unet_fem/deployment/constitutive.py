@@ -74,16 +74,16 @@ def make_network(
         unseen = read_interactions(dataset, model, against)
         train_through_windows(cell, data, unseen, recipe, tell)
     arrays = cell.learned | volumetric_share(model, dataset.fem_mesh, dataset.material)
-    arrays |= {"effort": np.array(EFFORT), "guard": np.array(NOBODY)}
+    arrays |= {"effort": np.array(EFFORT), "guard": np.array([NOBODY, NOBODY])}
     make_folder(folder)
     files = {"npz": Path(folder, "network.npz")}
     files |= {name: Path(folder, f"{name}.tflite") for name in ("float32", "float16")}
     graphs = {name: export_constitutive(cell, model, name) for name in ("float32", "float16")}
-    for _ in range(2):  # the effort depends on the guard
+    for row, effort in (0, EFFORT), (0, EFFORT), (1, (1.0, 1)):  # the effort depends on the guard
         write_constitutive(files["float32"], graphs["float32"], model.arrays() | arrays)
-        surrogate = ConstitutiveSurrogate(files["float32"])
+        surrogate = ConstitutiveSurrogate(files["float32"], effort=effort)
         features, errors = watched(surrogate, (dataset.sequence(*one) for one in against))
-        arrays["guard"] = fitted_guard(features, errors)
+        arrays["guard"][row] = fitted_guard(features, errors)
     save_constitutive(files["npz"], model, arrays)
     for name, graph in graphs.items():
         write_constitutive(files[name], graph, model.arrays() | arrays)

@@ -17,6 +17,7 @@ from ai_edge_litert.interpreter import Interpreter
 from fem.errors import InputError
 from fem.files import load_arrays, write_bytes
 from fem.online.constitutive import SECANTS, bulk_of, learned_of, limited
+from fem.online.creep import steps_within
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.retissue import with_tissue
@@ -83,7 +84,8 @@ class ConstitutiveSurrogate:
         fitted = self._learned.get("guard")
         self._guarded = fitted is not None
         stretched = float(np.abs(np.log(bulk_of(self.model.law) / self._bulk)).max())
-        self.guard = Guard(self.model, np.zeros(5) if fitted is None else fitted, stretched)
+        row = np.zeros(5) if fitted is None else fitted[int(self.most == 1)]
+        self.guard = Guard(self.model, row, stretched)
         self._warned = False
 
     def _open(self, graph):
@@ -118,20 +120,19 @@ class ConstitutiveSurrogate:
             dt = self.interval
         if dt != self._dt or dt is None:
             check_interval(None, dt)
-            new = rates(self._prony, float(dt))  # type: ignore[arg-type]
+            self._steps = steps_within(self._prony, float(dt))  # type: ignore[arg-type]
+            new = rates(self._prony, float(dt) / self._steps)  # type: ignore[arg-type]
             for name, value in zip(RATES, new, strict=True):
                 place(value[0], self._in[name]()[0])
             self._dt = dt
         layout, g = self.fields.encode(np.asarray(force))
-        self._g()[0] = g
-        self._invoke()
-        self.evaluations, start = 1, None
         if self._guarded:
             self.guard.begin(self.fields, float(dt))  # type: ignore[arg-type]
-        while self._unsettled():
-            start = self._more(start)
-        for into, out in self._moves:
-            np.copyto(into(), out())
+        if self._steps > 1:
+            old = self._in["slow"]()[0, -1].copy()
+            for step in range(1, self._steps):
+                self._frame(old + step / self._steps * (g - old))
+        self._frame(g)
         self.a = self._a()[0].copy()
         if self.flagged and not self._warned:
             self._warned = True
@@ -179,6 +180,16 @@ class ConstitutiveSurrogate:
         self.model, self._learned, self.fields = model, learned, Fields(model)
         self._take_tissue()
         self.reset()
+
+    def _frame(self, g):
+        """A step, or the frame, to the force whose elastic answer is g (R,) mm."""
+        self._g()[0] = g
+        self._invoke()
+        self.evaluations, start = 1, None
+        while self._unsettled():
+            start = self._more(start)
+        for into, out in self._moves:
+            np.copyto(into(), out())
 
     def _unsettled(self):
         """Whether the frame gets another evaluation."""

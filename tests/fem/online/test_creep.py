@@ -8,7 +8,16 @@ import pytest
 from fem.errors import InputError
 from fem.material.neo_hooke import NeoHooke
 from fem.mesh.shapes import box
-from fem.online.creep import Creep, CreepFilter, exponential_weights, remembered_force
+from fem.online.creep import (
+    MOST,
+    RELAXED,
+    Creep,
+    CreepFilter,
+    exponential_weights,
+    relaxing,
+    remembered_force,
+    steps_within,
+)
 from fem.solver.explicit import Solver
 from fem.solver.rest import equilibrium
 
@@ -216,3 +225,20 @@ def test_the_solver_creeps_under_a_held_force(element):
         solver.advance(t - solver.time, lambda _: load.T)
         ratios.append(np.vdot(solver.u.T, rest) / np.vdot(rest, rest))
     np.testing.assert_allclose(ratios, Creep.of(prony)(times), rtol=5e-3)
+
+
+@pytest.mark.parametrize("prony", [(), ((0.12, 330.0), (0.8, 11.0)), ((0.5, 1.0),)])
+def test_a_frame_takes_as_many_steps_as_relax_little_each(prony):
+    for dt in (0.01, 0.25, 2.5, 25.0, 250.0):
+        count = steps_within(prony, dt)
+        assert relaxing(prony, dt / count) <= RELAXED
+        assert count == 1 or relaxing(prony, dt / (count - 1)) > RELAXED
+    assert steps_within(prony, 0.1) == 1
+    assert steps_within(((0.9, 1e-3),), 100.0) == MOST
+
+
+def test_a_filter_tells_the_last_force():
+    memory = CreepFilter(Creep.of(((0.5, 1.0),)), (2,))
+    memory.step(np.array([1.0, 2.0]), 0.1)
+    memory.step(np.array([3.0, 4.0]), 0.1)
+    np.testing.assert_array_equal(memory.last, [3, 4])

@@ -14,7 +14,7 @@ from fem.online.stepper import Stepper
 from fem.solver.internal_force import InternalForce
 from unet_fem.steppers import open_stepper
 
-INTERVALS = (0.25, 0.01, 1.0, 0.25, 5.0)  # s
+INTERVALS = (0.25, 0.01, 0.5, 0.25, 1.0)  # s
 SIZES = (0.12, 0.25, 0.5, 0.5, 0.12)  # mN
 
 
@@ -87,6 +87,19 @@ def test_a_small_held_force_creeps_by_the_closed_form_whatever_the_intervals(who
         answer = stepper.step(force, dt)
     grown = np.linalg.norm(answer) / np.linalg.norm(first)
     assert grown == pytest.approx(Creep.of(tissue.prony)(elapsed), rel=3e-3)
+
+
+def test_a_long_frame_is_as_many_short_ones_under_a_force_that_grows(whole_model, block):
+    force = push(block)
+    long, short = (ReducedStepper(whole_model, None, 1e-6, 60) for _ in range(2))
+    for stepper in (long, short):
+        stepper.step(force, 1.0)
+    found = long.step(3 * force, 40.0)
+    count = long._steps
+    assert count > 4
+    for k in range(1, count + 1):
+        wanted = short.step((1 + 2 * k / count) * force, 40.0 / count)
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_a_mirrored_force_has_the_mirrored_answer(whole_model, block):

@@ -8,7 +8,7 @@ from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
 from fem.online.constitutive import ConstitutiveStepper, load_constitutive, save_constitutive
-from fem.online.creep import Creep
+from fem.online.creep import Creep, steps_within
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import Block, ReducedModel
 from fem.online.retissue import with_tissue
@@ -70,7 +70,7 @@ def make(folder, **options):
     }
     cell.learn(learned)
     learned["effort"] = np.array([1.0, 1.0])
-    learned["guard"] = np.array([0.01, 1.0, 1.0, 0.0, 100.0])
+    learned["guard"] = np.array(2 * [[0.01, 1.0, 1.0, 0.0, 100.0]])
     for b, R in enumerate(SIZES[: len(model.blocks)]):
         learned[f"V{b}"] = (0.02 * rng.standard_normal((R, R))).astype("float32")
     files = {kind: Path(folder, f"net.{kind}") for kind in ("npz", "tflite")}
@@ -181,10 +181,27 @@ def test_accelerated_evaluations_are_those_of_numpy_alone(network):
     np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
+def test_a_long_frame_is_taken_in_steps(mirrored):
+    force = forces()[2]
+    alone, graph = ConstitutiveStepper.open(mirrored[2]["npz"]), open_stepper(mirrored[2]["tflite"])
+    for stepper in (alone, graph):
+        stepper.step(0.3 * force, 0.25)
+    found, wanted = graph.step(force, 30.0), alone.step(force, 30.0)
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+    for stepper in (alone, graph):
+        stepper.reset()
+    graph.step(0.3 * force, 0.25)
+    count = steps_within(PRONY, 30.0)
+    for k in range(1, count + 1):
+        steps = graph.step((0.3 + 0.7 * k / count) * force, 30.0 / count)
+    assert count > 3
+    np.testing.assert_allclose(steps, wanted, atol=2e-5 * np.abs(wanted).max())
+
+
 def guarded(files, *guard, effort=(0.02, 12)):
     """A surrogate with another guard."""
     surrogate = ConstitutiveSurrogate(files["tflite"], 0.25, effort=effort)
-    surrogate._learned["guard"] = np.array(guard)
+    surrogate._learned["guard"] = np.array([guard, guard])
     surrogate._take_tissue()
     return surrogate
 
