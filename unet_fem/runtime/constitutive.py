@@ -9,7 +9,6 @@ the learned arrays, and what its guard goes by.
 import io
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from ai_edge_litert.interpreter import Interpreter
@@ -22,12 +21,9 @@ from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.retissue import with_tissue
 from fem.online.secants import Secants
-from fem.online.stepper import State, Stepper, check_interval
+from fem.online.stepper import State, check_interval
 from unet_fem.runtime.guard import Guard
-from unet_fem.runtime.modal import FORMAT as MODAL
-from unet_fem.runtime.modal import ModalSurrogate
 from unet_fem.runtime.rates import rates
-from unet_fem.runtime.surrogate import Surrogate
 from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 
 MEMORY = ("history", "slow", "correction")
@@ -49,7 +45,7 @@ class ConstitutiveSurrogate:
     After each step: `a` (R,) its coordinates in mm, `evaluations`, and where the file has a guard
     `bound`, a share of the displacement that the error of nine of ten frames like those of training
     does not exceed, and `flagged` with its `reason` where nobody vouches for the answer. The first
-    time that it is flagged there is also a RuntimeWarning.
+    time that it is flagged there is also a RuntimeWarning, if it `warns`.
     """
 
     def __init__(
@@ -86,7 +82,7 @@ class ConstitutiveSurrogate:
         stretched = float(np.abs(np.log(bulk_of(self.model.law) / self._bulk)).max())
         row = np.zeros(5) if fitted is None else fitted[int(self.most == 1)]
         self.guard = Guard(self.model, row, stretched)
-        self._warned = False
+        self.warns = True
 
     def _open(self, graph):
         self._graph = graph
@@ -134,8 +130,8 @@ class ConstitutiveSurrogate:
                 self._frame(old + step / self._steps * (g - old))
         self._frame(g)
         self.a = self._a()[0].copy()
-        if self.flagged and not self._warned:
-            self._warned = True
+        if self.flagged and self.warns:
+            self.warns = False
             warnings.warn(
                 f"do not trust this displacement: {self.guard.reason} (said once; see `flagged`"
                 " after each step)",
@@ -273,17 +269,6 @@ def patched(graph: bytes, pairs: list[tuple[np.ndarray, np.ndarray]]) -> bytes:
                 " use the float32 or float16 file"
             )
     return graph
-
-
-def open_surrogate(path: str | Path, **options: Any) -> Stepper:
-    """The stepper of a .tflite file, a ConstitutiveSurrogate, ModalSurrogate or Surrogate; options
-    go to it."""
-    form = str(load_arrays(path, "format").get("format"))
-    if form.startswith(FORMAT[:-1]):
-        return ConstitutiveSurrogate(path, **options)
-    if form.startswith(MODAL[:-1]):
-        return ModalSurrogate(path, **options)
-    return Surrogate(path, **options)
 
 
 def read_constitutive(path: str | Path) -> dict[str, np.ndarray]:

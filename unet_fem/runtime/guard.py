@@ -8,6 +8,7 @@ from fem.online.reduced_model import ReducedModel
 from fem.online.stepper import State
 
 ALARM = 0.05  # a bound above this share of the displacement is flagged
+UNREST = 0.1  # above it a frame is flagged: the step was long, and what follows it is unknown
 STRETCH = 0.15  # of |ln(K / mu)|, added to a bound: 0.05 to 0.12 of it are seen
 REASONS = (  # of the parts of a bound
     "K / mu is far from the data's, whose modes are not those of this tissue",
@@ -75,6 +76,8 @@ class Guard:
         self.bound, self.reason = float(parts.sum()), ""
         if size > self.far:
             self.flag(3)
+        if unrest > UNREST:
+            self.flag(2)
         if self.astray:
             self.bound = np.inf
             self.reason = "some of the force stands where no contact of the data pushes"

@@ -1,16 +1,13 @@
 """The constitutive network in its three forms: Keras, NumPy alone, and a LiteRT graph."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from ai_edge_litert.interpreter import Interpreter
 
 from fem.errors import InputError
-from fem.online.constitutive import ConstitutiveStepper, load_constitutive, save_constitutive
+from fem.online.constitutive import ConstitutiveStepper, load_constitutive
 from fem.online.creep import Creep, steps_within
 from fem.online.reduced import ReducedStepper
-from fem.online.reduced_model import Block, ReducedModel
 from fem.online.retissue import with_tissue
 from fem.online.stepper import Stepper
 from unet_fem.deployment.conformal import fitted_guard
@@ -21,79 +18,26 @@ from unet_fem.runtime.rates import rates
 from unet_fem.steppers import open_stepper
 
 PRONY = ((0.12, 330.0), (0.8, 11.0))
-SIZES, SEEN, POINTS, COARSE, NODES, FORCED = (7, 5), (5, 4), 12, 4, 30, 9
+NODES = 30
 INTERVALS = (0.25, 0.25, 0.01, 1.0, 0.25)  # s
 
 pytestmark = pytest.mark.filterwarnings("ignore:do not trust")  # random forces
 
 
-def random_model(sides, prony=PRONY, per_point=False):
-    """A ReducedModel of random arrays, whose step is a contraction."""
-    rng = np.random.default_rng(3)
-
-    def draw(scale, *shape):
-        return (scale * rng.standard_normal(shape)).astype("float32")
-
-    blocks = [
-        Block(
-            A=draw(0.05, 9 * POINTS, n),
-            M=draw(0.01, R, 9 * POINTS + n),
-            encoder=draw(0.3, R, 3 * FORCED),
-            decoder=draw(0.3, 3 * 12, R),
-            flexibility=np.eye(R, dtype="float32"),
-            missing=draw(0.1, 3, 3 * FORCED),
-        )
-        for R, n in list(zip(SIZES, SEEN, strict=True))[:sides]
-    ]
-    mu = np.linspace(300, 500, sides * POINTS).tolist() if per_point else 400.0
-    nu = np.linspace(0.3, 0.45, sides * POINTS).tolist() if per_point else 0.42
-    law = {"kind": "neo_hooke", "mu": mu, "nu": nu, "density": 1000.0, "prony": list(prony)}
-    nodes = rng.permutation(NODES)
-    return ReducedModel(
-        tuple(blocks),
-        force=nodes[: sides * FORCED].reshape(sides, -1).astype("int32"),
-        free=nodes[: sides * 12].reshape(sides, -1).astype("int32"),
-        prony=np.array(prony, float).reshape(-1, 2),
-        axis=0 if sides == 2 else None,
-        grid=None,
-        meta={"mesh": "m", "material": "t", "law": law, "nodes": NODES, "interval": 0.25},
-    )
-
-
-def make(folder, **options):
-    """(cell, model, {"npz": path, "tflite": path}) of a random network."""
-    model, rng = random_model(**options), np.random.default_rng(4)
-    cell = ConstitutiveCell.of(model, COARSE)
-    learned = {
-        name: (value + 0.03 * rng.standard_normal(value.shape)).astype("float32")
-        for name, value in cell.learned.items()
-    }
-    cell.learn(learned)
-    learned["effort"] = np.array([1.0, 1.0])
-    learned["guard"] = np.array(2 * [[0.01, 1.0, 1.0, 0.0, 100.0]])
-    for b, R in enumerate(SIZES[: len(model.blocks)]):
-        learned[f"V{b}"] = (0.02 * rng.standard_normal((R, R))).astype("float32")
-    files = {kind: Path(folder, f"net.{kind}") for kind in ("npz", "tflite")}
-    save_constitutive(files["npz"], model, learned)
-    graph = export_constitutive(cell, model)
-    write_constitutive(files["tflite"], graph, model.arrays() | learned)
-    return cell, model, files
-
-
 @pytest.fixture(scope="module", params=["mirrored", "one side", "elastic", "tissue by points"])
-def network(request, tmp_path_factory):
+def network(request, make_network, tmp_path_factory):
     options = {
         "mirrored": {"sides": 2},
         "one side": {"sides": 1},
         "elastic": {"sides": 2, "prony": ()},
         "tissue by points": {"sides": 2, "per_point": True},
     }[request.param]
-    return make(tmp_path_factory.mktemp("network"), **options)
+    return make_network(tmp_path_factory.mktemp("network"), **options)
 
 
 @pytest.fixture(scope="module")
-def mirrored(tmp_path_factory):
-    return make(tmp_path_factory.mktemp("network"), sides=2)
+def mirrored(constitutive):
+    return constitutive
 
 
 def forces(count=5, size=0.3):
@@ -142,9 +86,9 @@ def test_the_graph_the_cell_and_numpy_alone_answer_alike(network, effort):
     np.testing.assert_allclose(u, v, atol=1e-5 * np.abs(u).max())
 
 
-def test_without_a_learned_step_it_is_one_evaluation_of_the_reduced_solver(tmp_path):
-    model = random_model(2)
-    cell = ConstitutiveCell.of(model, COARSE)
+def test_without_a_learned_step_it_is_one_evaluation_of_the_reduced_solver(mirrored, tmp_path):
+    model = mirrored[1]
+    cell = ConstitutiveCell.of(model, 4)
     path = tmp_path / "net.tflite"
     learned = cell.learned | {"effort": np.array([1.0, 1.0])}
     write_constitutive(path, export_constitutive(cell, model), model.arrays() | learned)
