@@ -29,7 +29,7 @@ def pair(constitutive):
     """(a Fallback, its solver, the forces (4, N, 3) of which the third is flagged)."""
     _, model, files = constitutive
     solver = Solver(model)
-    body = open_stepper(files["tflite"], interval=DT, fallback=solver)
+    body = open_stepper(files["tflite"], interval=DT, fallback=solver, effort=(0.05, 12))
     body.surrogate.guard.weights[:] = 0
     rng, nodes = np.random.default_rng(0), model.force.ravel()
     forces = np.zeros((4, model.meta["nodes"], 3), "float32")
