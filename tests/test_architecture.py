@@ -44,8 +44,9 @@ LAYERS = [
     "unet_fem.networks",
     "unet_fem.steppers",
     "unet_fem.training",
-    "unet_fem.train unet_fem.evaluate",
+    "unet_fem.evaluate",
     "unet_fem.deployment",
+    "unet_fem.train",
     "unet_fem.study",
     "unet_fem.study.measure",
     "unet_fem.study.stages",
@@ -80,6 +81,8 @@ DEFERRED = {
     ("unet_fem.deployment.smaller_runs", "unet_fem.deployment.pruning"): "of [deploy] alone",
     ("unet_fem.evaluate", "unet_fem.training.judge"): "Keras, for which no refusal waits",
     ("unet_fem.train", "unet_fem.training.fit"): "Keras, for which no refusal waits",
+    ("unet_fem.train", "unet_fem.deployment.comparison"): "Keras, for which no refusal waits",
+    ("unet_fem.train", "unet_fem.deployment.constitutive_run"): "Keras, for which no refusal waits",
     ("unet_fem.runtime.replay", "h5py"): "of [fem]; the runtime needs it for this command alone",
 }
 # The calls that end a process in library code, {module: why}.

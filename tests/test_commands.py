@@ -28,7 +28,7 @@ COMMANDS = {
     "unet_fem.train": [
         (["none.toml"], "none.toml"),
         (["scene=none.toml", "name=nothing"], "none.toml"),
-        (["model.untis=3"], "model.units"),
+        (["model.mods=3"], "model.modes"),
         (["a.toml", "b.toml"], "one configuration file"),
         (["model.kind=cnn"], "cnn_lstm"),
     ],

@@ -4,11 +4,20 @@ exported to, lite/<variant>.tflite. Looked for before anything heavy is imported
 from pathlib import Path
 
 from fem.errors import InputError
+from unet_fem.networks.registry import network
+from unet_fem.training.run import model_file as trained_file
 from unet_fem.training.settings import Settings
 
 
 def model_file(settings: Settings) -> Path:
-    """The trained model. Raises InputError if there is none."""
+    """The trained Keras model. Raises InputError if there is none."""
+    if settings.stepped:
+        file = trained_file(settings)
+        raise InputError(
+            f"{settings.folder} holds a {network(settings.model.kind).label}, no Keras model: it is"
+            f" exported already, as {file} and float16.tflite beside it; time it beside another run"
+            f" with python tools/benchmark.py runs/<other> --beside {file}"
+        )
     path = settings.folder / "best.keras"
     if not path.is_file():
         raise InputError(f"no model {path}; train one with python -m unet_fem.train")

@@ -115,8 +115,29 @@ class Elastic(Options):
     kind: str = field(default="elastic", init=False)
 
 
+@dataclass(frozen=True)
+class Constitutive(Options):
+    """modes, inputs, points: of the reduced model that it stands on, see fem.reduce; coarse: points
+    a side that N sees; steps: of training through windows of frames, 0 for the fit alone."""
+
+    kind: str = field(default="constitutive", init=False)
+    modes: int = number(1, 100_000, default=320)
+    inputs: int = number(1, 100_000, default=120)
+    points: int = number(1, 100_000, default=300)
+    coarse: int = number(1, 100_000, default=40)
+    steps: int = number(0, 1_000_000, default=300)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.inputs > self.modes:
+            raise InputError(
+                f"model.inputs = {self.inputs} must be at most model.modes = {self.modes}, of which"
+                " they are"
+            )
+
+
 class Model(Protocol):
-    """What a run makes: a Keras model or a Regression."""
+    """What a run makes: a Keras model, a Regression, or a stepper that is followed."""
 
     @property
     def input_shape(self) -> tuple[int | None, ...]:
@@ -136,6 +157,8 @@ class Network:
     fitter: of a Regression in closed form, in place of a builder: fitter(train, validation, mask,
     **own settings but steps, which the samples' windows show).
     maker: of a Regression from a fem.data.dataset.Dataset alone, in place of both: maker(dataset).
+    stepper: opens the run's file, of what answers frame by frame and is made by a command of its
+    own (unet_fem.train), in place of all of them.
     thinner: puts the weightiest part of a model into a smaller one, thinner(model, small). size:
     name of the setting that makes it smaller.
     reads: which of a run's settings besides [model] it has a use for, as "table" or "table.name";
@@ -147,6 +170,7 @@ class Network:
     builder: Reference | None = None
     fitter: Reference | None = None
     maker: Reference | None = None
+    stepper: Reference | None = None
     thinner: Reference | None = None
     size: str | None = None
     reads: tuple[str, ...] = ("train", "loss", "input", "samples")
@@ -165,7 +189,8 @@ class Network:
         to build with, keras if None. Raises InputError where the options do not fit the grid.
         """
         if self.builder is None:
-            raise InputError(f"a {self.label} is fitted, not trained; it has no Keras model")
+            how = "steps by its own file" if self.stepper else "is fitted, not trained"
+            raise InputError(f"a {self.label} {how}; it has no Keras model")
         checked_array("grid", grid, (3,), 2, 10_000, whole=True)
         checked_array("scales", scales, (2,), 1e-12, 1e12)
         options.check(grid)
@@ -188,7 +213,7 @@ class Network:
     @property
     def fitted(self) -> bool:
         """Whether it is a Regression, which no training makes."""
-        return self.builder is None
+        return self.builder is None and self.stepper is None
 
     def thin(self, model: "keras.Model", small: "keras.Model") -> None:
         """Give `small`, a model of this kind with less of `size`, the weightiest part of
@@ -222,6 +247,12 @@ NETWORKS = {
     ),
     "pod": Network(
         "POD regression", Pod, fitter="unet_fem.networks.pod:pod", reads=(*JUDGED, "samples")
+    ),
+    "constitutive": Network(
+        "constitutive network",
+        Constitutive,
+        stepper="unet_fem.runtime.constitutive:ConstitutiveSurrogate",
+        reads=("loss.volume_threshold", "samples.hard"),
     ),
     "elastic": Network(
         "linear elastic answer", Elastic, maker="fem.data.elastic:elastic_answer", reads=JUDGED

@@ -152,7 +152,7 @@ def coarse_first(model: ReducedModel, data: Interactions) -> ReducedModel:
         blocks.append(replace(block, A=A, M=np.hstack([T, block.M[:, 9 * h :]])))
     points = np.concatenate([side * h + order for side in range(len(model.blocks))])
     law = {
-        name: np.asarray(value)[points].tolist() if np.ndim(value) == 1 else value
+        name: np.asarray(value)[points].tolist() if np.shape(value) == points.shape else value
         for name, value in model.meta["law"].items()
     }
     return replace(model, blocks=tuple(blocks), meta=model.meta | {"law": law})

@@ -123,16 +123,17 @@ def train_run(
     dataset: Dataset,
     samples: tuple[Samples, Samples],
     field: InputField | None = None,
+    quiet: bool = False,
 ) -> dict:
     """All that `settings` asks for on its dataset, into settings.folder, which
     unet_fem.training.run has made. samples: for training and validation. field: that the model sees
-    in place of the forces. Returns the metrics."""
+    in place of the forces. Returns the metrics; quiet: without showing them."""
     if settings.fitted:
         print(f"fitting the {network(settings.model.kind).label}", flush=True)
         fit_regression(dataset, settings.model, samples, field).save(model_file(settings))
     else:
         train_network(settings, dataset, *samples)
-    return evaluate(settings, dataset)
+    return evaluate(settings, dataset, quiet)
 
 
 def seed(number: int) -> None:

@@ -1,6 +1,7 @@
 """Errors and volume violation of trained models on unseen interactions."""
 
 import json
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,10 @@ from fem.data.dataset import Dataset
 from fem.errors import InputError
 from fem.files import write_text
 from fem.online.regression import Regression
+from fem.online.stepper import Stepper
 from unet_fem.metrics import relative_l2_of_sums
 from unet_fem.networks.files import load_model
-from unet_fem.networks.registry import Elastic, Linear, Model
+from unet_fem.networks.registry import Elastic, Linear, Model, network, resolve
 from unet_fem.training import figures
 from unet_fem.training.extremes import extremes_table, judge_extremes
 from unet_fem.training.inputs import keep_input, run_input
@@ -78,8 +80,9 @@ def predict(model: Model, samples: Samples, dataset: Dataset) -> tuple[np.ndarra
             " it was trained on another grid or window; train again"
         )
     fields, volumes = [], []
-    for start in range(0, len(samples), BATCH):
-        field = np.asarray(model(samples.input[start : start + BATCH]))
+    batch = model.batch if isinstance(model, Followed) else BATCH
+    for start in range(0, len(samples), batch):
+        field = np.asarray(model(samples.input[start : start + batch]))
         if not np.isfinite(field).all():
             raise InputError(
                 "the model's prediction is not finite; its training has diverged:"
@@ -88,6 +91,27 @@ def predict(model: Model, samples: Samples, dataset: Dataset) -> tuple[np.ndarra
         fields.append(field)
         volumes.append(np.asarray(deformed_volume(field, *dataset.surface), float))
     return np.concatenate(fields), np.concatenate(volumes)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """As a model: what a stepper answers to an interaction, frame by frame from rest.
+
+    interval: s between frames; batch: frames of an interaction, all of which it is given at once.
+    """
+
+    stepper: Stepper
+    interval: float
+    batch: int
+    input_shape: tuple[int | None, ...]
+
+    def __call__(self, force: np.ndarray) -> np.ndarray:
+        """(F, nx, ny, nz, 3) mm of (F, nx, ny, nz, 3) mN."""
+        self.stepper.reset()
+        dt = self.interval if self.stepper.interval is None else None
+        with warnings.catch_warnings():  # the truth stands beside it
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return np.stack([self.stepper.step(frame, dt) for frame in force])
 
 
 @dataclass(frozen=True)
@@ -103,8 +127,13 @@ class LastFrame:
 
 def competitors(settings: Settings, dataset: Dataset) -> dict[str, Model]:
     """{name: model}: what the run has made, and the linear regression on the same window, or the
-    elastic answer that a network corrects."""
+    elastic answer that a network corrects; a stepper alone."""
     kind = settings.model.kind
+    if opens := network(kind).stepper:
+        stepper = resolve(opens)(model_file(settings))
+        frames = dataset.scene.frames
+        shape = (None, *dataset.grid, 3)
+        return {kind: Followed(stepper, frames.interval, frames.count, shape)}
     models: dict[str, Model] = {
         kind: (Regression.load if settings.fitted else load_model)(model_file(settings))
     }
@@ -115,16 +144,18 @@ def competitors(settings: Settings, dataset: Dataset) -> dict[str, Model]:
     return models
 
 
-def evaluate(settings: Settings, dataset: Dataset) -> dict:
+def evaluate(settings: Settings, dataset: Dataset, quiet: bool = False) -> dict:
     """Metrics of the run's best model and of its linear regression, written to its folder with the
-    figures."""
+    figures, and printed unless `quiet`."""
     models, window = competitors(settings, dataset), settings.model.window
     seen = run_input(settings, dataset)
     keep_input(settings, dataset, seen)
     metrics: dict[str, dict] = {name: {} for name in (*models, "FEM")}
-    splits = ["validation", "test"] + ["hard"] * ("hard" in dataset.split)
-    for split in splits:
-        samples = load_samples(dataset, split, window, seen)
+    numbers: dict[str, np.ndarray | None] = {"validation": None, "test": None}
+    if (unseen := _hard_set(settings, dataset)).size:
+        numbers["hard"] = unseen
+    for split, some in numbers.items():
+        samples = load_samples(dataset, split, window, seen, some)
         print(f"evaluating {len(samples)} {split} samples", flush=True)
         predictions = {name: predict(model, samples, dataset) for name, model in models.items()}
         parts: dict[str, slice | np.ndarray] = {HARD_SET if split == "hard" else split: slice(None)}
@@ -141,18 +172,26 @@ def evaluate(settings: Settings, dataset: Dataset) -> dict:
             figures.draw_all(settings.folder / "figures", dataset, samples, predictions, gate)
     metrics["extremes"] = judge_extremes(models, dataset, window, seen)
     write_text(settings.folder / "metrics.json", json.dumps(metrics, indent=1))
-    print(table(metrics, dataset))
-    print(extremes_table(metrics["extremes"], models))
+    if not quiet:
+        print(table(metrics, dataset, settings.samples.hard))
+        print(extremes_table(metrics["extremes"], models))
     return metrics
 
 
-def table(metrics: dict, dataset: Dataset) -> str:
-    """The metrics as text, a block for each split and one for the hard ones of the tests."""
+def _hard_set(settings, dataset):
+    """The numbers of the split "hard" that are not learned from, maybe none."""
+    numbers = dataset.number[dataset.split == "hard"]
+    return numbers[numbers > settings.samples.hard]
+
+
+def table(metrics: dict, dataset: Dataset, hard: int = 0) -> str:
+    """The metrics as text, a block for each split and one for the hard ones of the tests; hard:
+    interactions of the split "hard" that were learned from."""
     counts = {
         "validation": (dataset.split == "validation").sum(),
         "test": (dataset.split == "test").sum(),
         "hard": (dataset.hard & (dataset.split == "test")).sum(),
-        HARD_SET: (dataset.split == "hard").sum(),
+        HARD_SET: (dataset.split == "hard").sum() - hard,
     }
     rows = {name: splits for name, splits in metrics.items() if name != "extremes"}
     lines = []

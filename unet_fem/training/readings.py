@@ -8,11 +8,9 @@ B. split = "frames": the frames of both splits, dealt out at random. The inputs 
 C. each = k: k frames at random of each interaction, from as many more interactions.
 """
 
-from dataclasses import fields
-
 import numpy as np
 
-from unet_fem.training.samples import Samples
+from unet_fem.training.samples import Samples, joined
 from unet_fem.training.settings import SampleChoice
 
 
@@ -21,7 +19,7 @@ def read_as(
 ) -> tuple[Samples, Samples]:
     """(training, validation) samples as `choice` reads those of both splits, whole interactions of
     `frames` frames each; the two as they are for the default."""
-    if choice == SampleChoice():
+    if (choice.split, choice.each) == ("interactions", 0):
         return train, validation
     whole = joined(train, validation)
     learn, validate = rows_of((len(train), len(validation)), frames, choice)
@@ -52,13 +50,6 @@ def leaking(train: np.ndarray, validation: np.ndarray, frames: int) -> float:
         for row in validation.tolist()
     ]
     return float(np.mean(beside))
-
-
-def joined(first: Samples, second: Samples) -> Samples:
-    """The samples of both, one behind the other."""
-    names = [own.name for own in fields(Samples) if getattr(first, own.name) is not None]
-    pairs = {name: (getattr(first, name), getattr(second, name)) for name in names}
-    return Samples(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
 def _some(rows, each, rng):

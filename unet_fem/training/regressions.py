@@ -49,5 +49,6 @@ def linear_regression(
         options = Linear(steps=settings.model.window or 1)
         dataset = dataset or open_dataset(settings.data).for_learning()
         field = run_input(settings, dataset)
+        samples = samples or training_samples(dataset, options.window, field, settings.samples.hard)
         fit_regression(dataset, options, samples, field).save(path)
     return Regression.load(path)

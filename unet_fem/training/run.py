@@ -13,7 +13,9 @@ from fem.data.scene import Scene, load_scene
 from fem.errors import InputError
 from fem.files import read_json, vet_output, write_text
 from fem.locks import lock
+from fem.material import NeoHooke
 from fem.memory import require_memory
+from fem.reduced.points import check_element
 from unet_fem.networks.registry import CnnLstm, network
 from unet_fem.training.settings import Settings, foreign, from_tree, unused, without
 
@@ -44,6 +46,7 @@ def read_settings(folder: Path | str) -> Settings:
 
 # files of a run's folder: the digest of the mesh that it was trained on, the scene of its data
 MESH, SCENE = "mesh.sha256", "scene.toml"
+COMPARISON = "comparison.json"  # with the runs beside it
 
 
 def check_dataset(folder: Path | str, dataset: Dataset) -> None:
@@ -100,16 +103,21 @@ def locked_run(folder: Path | str) -> Iterator[tuple[Settings, Dataset]]:
 
 
 def model_file(settings: Settings) -> Path:
-    """Where the run keeps what it has made: its best network, or its regression."""
+    """Where the run keeps what it has made: its best network, its regression, or the file of its
+    stepper."""
+    if settings.stepped:
+        return settings.folder / "lite" / "float32.tflite"
     return settings.folder / ("regression.npz" if settings.fitted else "best.keras")
 
 
 def vet(settings: Settings, resume: bool = False) -> None:
     """Raises InputError for all that can be wrong with `settings` before anything is made: the
-    folder, the scene, the dataset if there is one, and the network on its grid."""
+    folder, the scene, the dataset if there is one, and the network on its grid; of the runs beside
+    it too."""
     vet_folder(settings, resume)
     vet_output(settings.folder, folder=True)
     scene = load_scene(settings.scene)
+    _vet_scene(settings, scene)
     grid: tuple[int, ...] | None
     if Path(settings.data).is_file():
         dataset = matching_dataset(settings, scene)
@@ -123,17 +131,48 @@ def vet(settings: Settings, resume: bool = False) -> None:
         nx, ny, nz = grid
         settings.model.check((nx, ny, nz))
         _vet_size(settings, scene, (nx, ny, nz))
+    for other in settings.others:
+        vet(other, begun(other))
+
+
+def begun(settings: Settings) -> bool:
+    """Whether there is a folder of the run."""
+    return (settings.folder / "config.toml").is_file()
+
+
+def _vet_scene(settings, scene):
+    """Raises InputError where the scene does not have what the run asks for."""
+    have = scene.interactions.hard_set
+    if settings.samples.hard > have:
+        raise InputError(
+            f"samples.hard = {settings.samples.hard}, and {settings.scene} has {have} hard"
+            " interactions (interactions.hard_set)"
+        )
+    if settings.stepped:
+        check_element(scene.solver.element)
+        if scene.mesh.grid:
+            raise InputError(
+                f"the mesh of {settings.scene} has no node grid of its own, on which a run is"
+                " judged; from Python unet_fem.deployment.constitutive.make_network serves it"
+            )
+        if type(scene.material) is not NeoHooke:
+            raise InputError(
+                f"a constitutive network contains the neo-Hookean law alone, and {settings.scene}"
+                f" has {type(scene.material).__name__}; train another model.kind"
+            )
 
 
 def _vet_size(settings, scene, grid):
     """Raises InputError where the windows, or the weights with what Adam keeps, exceed memory."""
     frames, (nx, ny, nz) = scene.frames.count, grid
-    windows = scene.interactions.train * frames * ((settings.model.window or 1) + 1)
-    require_memory(
-        12 * windows * nx * ny * nz,
-        f"the windows of {scene.interactions.train} interactions",
-        f"lower model.steps = {settings.model.window} or take fewer interactions",
-    )
+    count = scene.interactions.train + settings.samples.hard
+    windows = count * frames * ((settings.model.window or 1) + 1)
+    if not settings.stepped:  # which reads one interaction at a time
+        require_memory(
+            12 * windows * nx * ny * nz,
+            f"the windows of {count} interactions",
+            f"lower model.steps = {settings.model.window} or take fewer interactions",
+        )
     weights = settings.model.weights(grid)
     own = ", ".join(f"model.{name} = {value}" for name, value in settings.model.own().items())
     require_memory(16 * weights, f"a network of {weights:.3g} weights ({own})", "lower them")
@@ -160,9 +199,10 @@ def vet_folder(settings: Settings, resume: bool = False) -> None:
 
 
 def finished(settings: Settings) -> bool:
-    """Whether the run has had all its epochs and was judged."""
+    """Whether the run has had all its epochs and was judged, and compared with those beside it."""
     history = settings.folder / "history.json"  # a regression has none
-    if not (settings.folder / "metrics.json").is_file():
+    last = ["metrics.json", COMPARISON] if settings.beside else ["metrics.json"]
+    if not all((settings.folder / name).is_file() for name in last):
         return False
     if not history.is_file():
         return True

@@ -1,8 +1,8 @@
 """From the interactions of a dataset to the samples that a network learns from."""
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -74,32 +74,45 @@ def _last(windows):
 
 
 def load_samples(
-    dataset: Dataset, split: str, steps: int | None, field: InputField | None = None
+    dataset: Dataset,
+    split: str,
+    steps: int | None,
+    field: InputField | None = None,
+    numbers: Iterable[int] | None = None,
 ) -> Samples:
     """Samples of `split` (of fem.data.scene.SPLITS) of a fem.data.dataset.Dataset, with
-    windows of `steps` frames of the `field` that the model sees, of the forces if None."""
-    fields = dataset.read(split)
-    force, frames, seen = fields["force"], fields["force"].shape[1], None
+    windows of `steps` frames of the `field` that the model sees, of the forces if None; numbers: of
+    the interactions, all if None."""
+    found = dataset.read(split, numbers=numbers)
+    force, frames, seen = found["force"], found["force"].shape[1], None
     if field:
         seen = windows(field.sequences(force, dataset.scene.frames.interval), steps)
     return Samples(
         force=windows(force, None if field else steps),
         seen=seen,
-        displacement=fields["displacement"].reshape(-1, *fields["displacement"].shape[2:]),
-        interaction=np.repeat(fields["number"], frames),
-        hard=np.repeat(fields["hard"], frames),
-        volume=fields["volume"].ravel(),
+        displacement=found["displacement"].reshape(-1, *found["displacement"].shape[2:]),
+        interaction=np.repeat(found["number"], frames),
+        hard=np.repeat(found["hard"], frames),
+        volume=found["volume"].ravel(),
     )
 
 
 def training_samples(
-    dataset: Dataset, steps: int | None, field: InputField | None = None
+    dataset: Dataset, steps: int | None, field: InputField | None = None, hard: int = 0
 ) -> tuple[Samples, Samples]:
-    """(training, validation) samples, see `load_samples`."""
-    return (
-        load_samples(dataset, "train", steps, field),
-        load_samples(dataset, "validation", steps, field),
-    )
+    """(training, validation) samples, see `load_samples`; hard: how many interactions of the split
+    "hard" are among the first."""
+    train = load_samples(dataset, "train", steps, field)
+    if hard:
+        train = joined(train, load_samples(dataset, "hard", steps, field, range(1, hard + 1)))
+    return train, load_samples(dataset, "validation", steps, field)
+
+
+def joined(first: Samples, second: Samples) -> Samples:
+    """The samples of both, one behind the other."""
+    names = [own.name for own in fields(Samples) if getattr(first, own.name) is not None]
+    pairs = {name: (getattr(first, name), getattr(second, name)) for name in names}
+    return Samples(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
 def scales(samples: Samples, corrects: bool = False) -> tuple[float, float]:

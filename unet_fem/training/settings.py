@@ -55,11 +55,14 @@ class SampleChoice:
 
     split: "interactions", whole ones as the dataset has them, or "frames" at random, which leaks;
     each: frames at random of each interaction, 0 for all; seed: of the draw.
+    hard: how many interactions of the split "hard" to learn from too, beside "train"; the rest of
+    that split is judged by.
     """
 
     split: Literal["interactions", "frames"] = "interactions"
     each: int = number(0, 1_000_000, default=0)
     seed: int = number(0, 2**32 - 1, default=0)
+    hard: int = number(0, 1_000_000, default=0)
 
     def __post_init__(self) -> None:
         config.normalised(self, "samples")
@@ -85,10 +88,24 @@ class TrainChoice:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """What is trained beside a run on the same data, to compare with it: as in Settings."""
+
+    model: Options = field(default_factory=CnnLstm)
+    train: TrainChoice = field(default_factory=TrainChoice)
+    loss: LossChoice = field(default_factory=LossChoice)
+    input: InputChoice = field(default_factory=InputChoice)
+
+    def __post_init__(self) -> None:
+        config.normalised(self, "beside")
+
+
+@dataclass(frozen=True)
 class Settings:
     """name: of the folder under runs/; scene: scene file; data: HDF5 file, generated from the scene
     if missing; model: the options of its kind, see unet_fem.networks.registry, whose row says which
-    of the other tables it reads; the rest is refused."""
+    of the other tables it reads; the rest is refused; beside: other models that are trained on the
+    same and compared with it, each of another kind, see `others`."""
 
     name: str
     scene: str
@@ -98,6 +115,7 @@ class Settings:
     loss: LossChoice = field(default_factory=LossChoice)
     input: InputChoice = field(default_factory=InputChoice)
     samples: SampleChoice = field(default_factory=SampleChoice)
+    beside: tuple[Beside, ...] = ()
 
     def __post_init__(self) -> None:
         config.normalised(self)
@@ -105,6 +123,34 @@ class Settings:
         for table, names in unused(self.model.kind).items():
             reason = f"model.kind = '{self.model.kind}'"
             config.refuse_unused(getattr(self, table), names, table, reason)
+        kinds = [self.model.kind, *(other.model.kind for other in self.beside)]
+        for kind in kinds:
+            if kinds.count(kind) > 1:
+                raise InputError(
+                    f"beside: {kinds.count(kind)} models are of model.kind = '{kind}', after which"
+                    " their runs are named; give one of each kind"
+                )
+        _ = self.others  # refuses what does not fit
+
+    @property
+    def others(self) -> list["Settings"]:
+        """Those of `beside` as runs of their own, named <name>_<kind>."""
+        alone = replace(self, beside=()) if self.beside else self
+        return [
+            replace(
+                alone.with_model(other.model),
+                name=f"{self.name}_{other.model.kind}",
+                train=other.train,
+                loss=other.loss,
+                input=other.input,
+            )
+            for other in self.beside
+        ]
+
+    @property
+    def stepped(self) -> bool:
+        """Whether the model is a stepper in a file of its own."""
+        return bool(network(self.model.kind).stepper)
 
     @property
     def fitted(self) -> bool:
@@ -126,9 +172,10 @@ class Settings:
 
     def toml(self) -> str:
         """The settings as a TOML file, with those alone that the model's kind reads, and without
-        [input] and [samples] where they are the defaults."""
+        [input], [samples] and [[beside]] where they are the defaults."""
         tree = without(config.to_dict(self), unused(self.model.kind))
-        for name, usual in (("input", InputChoice()), ("samples", SampleChoice())):
+        tree["beside"] = [without(own, unused(own["model"]["kind"])) for own in tree["beside"]]
+        for name, usual in (("input", InputChoice()), ("samples", SampleChoice()), ("beside", ())):
             if getattr(self, name) == usual:
                 tree.pop(name, None)
         return config.dump_toml(tree)
@@ -162,13 +209,14 @@ def load_settings(
     """Settings from the TOML file at `path`, with ["key=value", ...] laid over it.
 
     A model.kind among the overrides that is not the file's leaves out what the file says of its own
-    kind, which would be refused: its [model] table and the settings that the other kind has no use
-    for. say: is told what.
+    kind, which would be refused: its [model] and [[beside]] tables and the settings that the other
+    kind has no use for. say: is told what.
     """
     tree, changes = config.read_toml(path), config.parse_overrides(overrides)
     wanted, own = _kind(changes, default=None), _kind(tree)
     if wanted is not None and wanted != own:
-        left = without({name: tree[name] for name in tree if name != "model"}, unused(wanted))
+        rest = {name: own for name, own in tree.items() if name not in ("model", "beside")}
+        left = without(rest, unused(wanted))
         out = sorted({f"[{name}]" for name in tree.keys() - left.keys()}) + [
             f"{table}.{name}"
             for table in left.keys() & TABLES.keys()
@@ -183,8 +231,12 @@ def load_settings(
 def from_tree(tree: dict) -> Settings:
     """Settings from nested dicts. Raises InputError for what is unknown, of a wrong type, or the
     option of another kind of model."""
+    beside = tree.get("beside", [])
+    if not isinstance(beside, list) or not all(isinstance(own, dict) for own in beside):
+        raise InputError(f"beside = {beside!r} must be tables, [[beside]]")
+    others = [{**own, "model": model_options(own.get("model", {}))} for own in beside]
     model = model_options(tree.get("model", {}))
-    return config.build(Settings, {**tree, "model": model})
+    return config.build(Settings, {**tree, "model": model, "beside": others})
 
 
 def model_options(tree: dict) -> Options:

@@ -261,11 +261,11 @@ def test_every_row_names_functions_and_settings_that_exist():
     for kind, row in NETWORKS.items():
         options = row.options()
         assert options.kind == kind and row.label
-        for reference in (row.builder, row.fitter, row.maker, row.thinner):
+        for reference in (row.builder, row.fitter, row.maker, row.stepper, row.thinner):
             assert reference is None or callable(resolve(reference))
         assert row.size is None or row.size in options.own()
-        assert sum(map(bool, (row.builder, row.fitter, row.maker))) == 1
-        assert row.fitted == (row.builder is None)
+        assert sum(map(bool, (row.builder, row.fitter, row.maker, row.stepper))) == 1
+        assert row.fitted == bool(row.fitter or row.maker)
 
 
 def test_a_row_builds_its_network_and_knows_what_fits():
@@ -277,7 +277,9 @@ def test_a_row_builds_its_network_and_knows_what_fits():
         network("cnn_lstm").options(units=3).check(SMALL)
     with pytest.raises(InputError, match="units = 0"):
         network("cnn_lstm").options(units=0)
-    with pytest.raises(InputError, match="resnet.*cnn_lstm, unet, linear, pod, elastic"):
+    with pytest.raises(
+        InputError, match="resnet.*cnn_lstm, unet, linear, pod, constitutive, elastic"
+    ):
         network("resnet")
     with pytest.raises(InputError, match="fitted, not trained"):
         network("linear").build(SMALL, network("linear").options())

@@ -21,7 +21,7 @@ def study_of(monkeypatch):
     def make(count: int) -> Study:
         study = load_study("configs/study_quick.toml")
         changes = study.networks[1].changes
-        more = [Network(f"net{n}", "configs/quick.toml", changes) for n in range(3, count + 1)]
+        more = [Network(f"net{n}", "configs/paper.toml", changes) for n in range(3, count + 1)]
         mains = (*study.main, *(Main(f"Net {own.name[3:]}", own.name, 1) for own in more))
         labels = [main.label for main in mains[:count]]
         return dataclasses.replace(

@@ -29,7 +29,7 @@ def case(study_of, results_of):
     ):
         for seed in (1, 2, 3):
             runs[f"{name}_{seed}"] = (*CHANGES, *own, f"train.seed={seed}")
-    networks = tuple(Network(name, "configs/quick.toml", own) for name, own in runs.items())
+    networks = tuple(Network(name, "configs/paper.toml", own) for name, own in runs.items())
     main = tuple(
         dataclasses.replace(own, run=run)
         for own, run in zip(study.main, ("w64_1", "unet_1"), strict=True)

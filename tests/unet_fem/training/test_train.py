@@ -113,7 +113,7 @@ def folder(scene_folder, tmp_path, monkeypatch):
 @pytest.fixture
 def unjudged(monkeypatch):
     """Training ends without an evaluation, which takes longer than it."""
-    monkeypatch.setattr(training, "evaluate", lambda settings, dataset: {})
+    monkeypatch.setattr(training, "evaluate", lambda settings, dataset, quiet: {})
 
 
 def stops_with(main, arguments, capsys, *words):
