@@ -36,7 +36,7 @@ def main(arguments=None):
     parser.add_argument("--taught", type=int, default=6000, help="interactions of the model")
     parser.add_argument("--modes", type=int, default=120, help="of its own")
     parser.add_argument("--width", type=int, default=256, help="of the layers")
-    parser.add_argument("--epochs", type=int, default=15, help="of training")
+    parser.add_argument("--epochs", type=int, default=20, help="of training")
     options = parser.parse_args(arguments)
     for name in ("modes", "width", "epochs"):
         if getattr(options, name) < 1:

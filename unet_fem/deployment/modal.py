@@ -87,7 +87,8 @@ def export_modal(network: ModalNetwork, model: ReducedModel) -> bytes:
 
     In: inputs (1, 2 R) mm, [l; g]; kept (K + 1, p), the p_k and p of the last frame; weights
     (K + 1, K + 2), fem.online.creep.filter_weights of the Prony series. Out: a (1, R) mm;
-    displacement (1, sides 3 h) mm of the left and then the right free nodes; new_kept.
+    displacement (1, sides 3 h) mm of the left and then the right free nodes, and its largest
+    component; new_kept.
     """
     decoders = [tf.constant(block.decoder.T) for block in model.blocks]
     ends = np.cumsum([0] + [len(block.M) for block in model.blocks])
@@ -118,7 +119,9 @@ def export_modal(network: ModalNetwork, model: ReducedModel) -> bytes:
         u = [a[:, i:j] @ decoder for i, j, decoder in parts]
         if len(u) == 2:
             u = [u[0] + u[1], (u[0] - u[1]) * sign.reshape(1, -1)]
-        return {"a": a, "displacement": tf.concat(u, 1), "new_kept": memory[0]}
+        displacement = tf.concat(u, 1)
+        found = {"largest": tf.reduce_max(tf.abs(displacement)), "new_kept": memory[0]}
+        return found | {"a": a, "displacement": displacement}
 
     shapes = {"inputs": (1, 2 * modes), "kept": (terms + 1, network.remembered)}
     shapes["weights"] = (terms + 1, terms + 2)

@@ -78,10 +78,10 @@ class ModalSurrogate:
         self._invoke = found.invoke
         tensors = {d["name"]: d["index"] for d in found.get_input_details()}
         tensors |= {d["name"]: d["index"] for d in found.get_output_details()}
-        names = "inputs", "kept", "weights", "a", "displacement", "new_kept"
+        names = "inputs", "kept", "weights", "a", "displacement", "largest", "new_kept"
         if missing := set(names) - tensors.keys():
             raise InputError(f"the graph in {self.path} has no {sorted(missing)[0]}; {REMEDY}")
-        self._inputs, self._kept, self._weights, self._a, self._u, self._new = (
+        self._inputs, self._kept, self._weights, self._a, self._u, self._largest, self._new = (
             found.tensor(tensors[name]) for name in names
         )
 
@@ -108,9 +108,9 @@ class ModalSurrogate:
         del inputs
         self._invoke()
         self._kept()[:] = self._new()
-        self.a, u = self._a()[0].copy(), self._u()[0]
+        self.a = self._a()[0].copy()
         self.guard.begin(self.fields, self._dt)
-        self.guard.judge(linear, self.a, 0.0, max(float(u.max()), -float(u.min())))
+        self.guard.judge(linear, self.a, 0.0, float(self._largest()))
         if self.flagged and not self._warned:
             self._warned = True
             warnings.warn(
@@ -119,7 +119,7 @@ class ModalSurrogate:
                 RuntimeWarning,
                 stacklevel=2,
             )
-        return self.fields.placed(u, layout)
+        return self.fields.placed(self._u()[0], layout)
 
     @property
     def bound(self) -> float:

@@ -24,7 +24,7 @@ from unet_fem.networks.modal import ModalNetwork
 
 SEED = 77  # beside the scene's, of contacts that its own draws do not have
 HARD, PULLS, SLOW = 1 / 3, 0.15, 0.2  # shares of the interactions
-SLOWEST = 24.0  # how many times longer than the scene's a slow interaction is at most
+SLOWEST = 8.0  # how many times longer than the scene's a slow interaction is at most
 UNREST = 1e-2  # |r| / |a| of a frame that the reduced model gave up
 LEAST = 1e-2  # mm, |a| below which that says nothing
 
@@ -111,9 +111,9 @@ def largest_modes(lessons: Lessons, count: int) -> np.ndarray:
 class Recipe:
     """epochs of Adam on `batch` interactions a step; learning_rate: its peak, after a twentieth."""
 
-    epochs: int = 15
+    epochs: int = 20
     batch: int = 16
-    learning_rate: float = 2e-3
+    learning_rate: float = 3e-3
     weight_decay: float = 1e-4
     seed: int = 0
 
