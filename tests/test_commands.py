@@ -84,6 +84,10 @@ COMMANDS = {
         (["configs/study.toml", "--quick"], "not both"),
     ],
     "tools/stability.py": [(["--only", "nothing"], "nothing")],
+    "tools/tissues.py": [
+        (["none.h5", "none.tflite"], "none.tflite"),
+        (["none.h5", "none.tflite", "--hard", "-1"], "--hard -1"),
+    ],
     "tools/void_layer.py": [(["none.h5"], "none.h5"), (["none.h5", "--seeds", "0"], "--seeds 0")],
 }
 

@@ -38,6 +38,11 @@ def with_tissue(
     law = model.law
     if not isinstance(law, NeoHooke):
         raise InputError(f"moduli are for the neo-Hookean law, not for {type(law).__name__}")
+    if np.ndim(mu) or np.ndim(K):
+        raise InputError(
+            "give one mu and one K for all of the tissue; a part of it that is softer or stiffer"
+            " moves otherwise than in the data: train on a scene with [material.<cell set>]"
+        )
     if (mu, K) != (None, None) and (np.ndim(law.mu) or np.ndim(law.nu)):
         raise InputError(
             "this tissue differs from point to point; one mu or K for all of it has no meaning:"

@@ -29,8 +29,9 @@ from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 MEMORY = ("history", "slow", "correction")
 RATES = ("c", "past", "advance", "creep", "remembered")
 REMEDY = "make it again with python tools/constitutive.py"
-# where the guard's bound is above DOUBT, a frame settles to share / CARE; chosen on validation
-DOUBT, CARE = 0.01, 5.0
+# where the guard's bound is above DOUBT, a frame settles to share / CARE, if that is not finer than
+# FINEST; chosen on validation
+DOUBT, CARE, FINEST = 0.01, 5.0, 1e-3
 
 FORMAT = "unet-fem constitutive 2"
 
@@ -195,7 +196,7 @@ class ConstitutiveSurrogate:
             linear = a - self._out["new_correction"]()[0]
             self.guard.judge(linear, a, unrest, float(np.abs(self._u()).max()))
             if self.guard.bound > DOUBT:
-                share /= CARE
+                share = min(share, max(share / CARE, FINEST))
         if unrest <= share:
             return False
         if self._guarded and self.evaluations == self.most > 1:

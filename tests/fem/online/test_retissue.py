@@ -55,6 +55,8 @@ def test_what_does_not_hold_is_refused(block, tissue, whole_model, learned, redu
     for mu, K in ((-1.0, None), (None, np.nan), (400.0, 100.0)):
         with pytest.raises(InputError, match="must be positive"):
             with_tissue(whole_model, learned, mu, K)
+    with pytest.raises(InputError, match="for all of the tissue"):
+        with_tissue(whole_model, learned, mu=np.full(8, 400.0))
     with pytest.raises(InputError, match="flows"):
         with_tissue(whole_model, learned, prony=((0.6, 1.0), (0.5, 2.0)))
     ogden = reduce_wholly(block, fem.Ogden(((40.0, 8.0), (-60.0, -4.0)), 0.45, 1000.0))
