@@ -5,7 +5,6 @@ damaged or hostile: `read_json` and `load_arrays` take nothing on trust, and run
 """
 
 import errno
-import hashlib
 import json
 import os
 import re
@@ -38,16 +37,21 @@ def plain_name(name: str, what: str) -> str:
     return name
 
 
+def checked_path(path: str | Path) -> Path:
+    """`path` as a Path. Raises InputError for what is none."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise InputError(f"{str(path)[:60]} is no path; give one such as out/name") from None
+
+
 def vet_output(path: str | Path, folder: bool = False) -> Path:
     """`path` as a Path, if a file, or a folder, can be written there; nothing is made.
 
     Raises InputError for no name, a name that no file has, a folder in the place of a file or a
     file in the place of a folder, and where nothing may be written.
     """
-    try:
-        path = Path(path)
-    except TypeError:
-        raise InputError(f"{path!r} is no path to write to; give one such as out/name") from None
+    path = checked_path(path)
     name = path.name
     if not name and not (folder and path.is_dir()) or "\0" in str(path):
         raise InputError(f"'{path}' is no path to write to; give one such as out/name")
@@ -56,6 +60,9 @@ def vet_output(path: str | Path, folder: bool = False) -> Path:
             raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
         if not folder and path.is_dir():
             raise InputError(f"{path} is a folder; give the path of a file")
+        # what is written takes its place, and no device or pipe survives that
+        if not folder and path.exists() and not path.is_file():
+            raise InputError(f"{path} is a device or a pipe; give the path of a file")
         place = path if folder else path.parent
         while not place.exists() and place != place.parent:
             place = place.parent
@@ -119,32 +126,6 @@ def save_arrays(path: str | Path, **arrays: Any) -> None:
     """np.savez to `path`."""
     with replacing(path) as partial, open(partial, "wb") as file:
         np.savez(file, **arrays)
-
-
-SEAL = b"sha256 "
-
-
-def seal(path: str | Path) -> None:
-    """Append the digest of what the file at `path` holds, for readers that go by its start: it is
-    whole as long as it is `sealed`."""
-    with open(path, "rb+") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest().encode()
-        file.seek(0, os.SEEK_END)
-        file.write(SEAL + digest)
-
-
-def sealed(path: str | Path) -> bool:
-    """Whether the file at `path` is what it was when it was sealed."""
-    with open(path, "rb") as file:
-        found = file.seek(0, os.SEEK_END) - len(SEAL) - 64
-        file.seek(max(found, 0))
-        said = file.read()
-        file.seek(0)
-        digest = hashlib.sha256()
-        while found > 0 and (block := file.read(min(found, 2**20))):
-            digest.update(block)
-            found -= len(block)
-    return said == SEAL + digest.hexdigest().encode()
 
 
 def read_json(path: str | Path, kind: type | tuple[type, ...] = dict) -> Any:

@@ -28,8 +28,8 @@ callable_module(__name__, generate)
 def main(arguments: Sequence[str] | None = None) -> None:
     """Generate the dataset of a scene, as the words of a command line ask."""
     options = _options(arguments)
-    if options.workers is not None and options.workers < 1:
-        raise InputError(f"--workers {options.workers} must be at least 1")
+    if options.workers is not None and not 1 <= options.workers <= 10_000:
+        raise InputError(f"--workers {options.workers} must be at least 1 and at most 10000")
     scene = load_scene(options.scene)
     if options.out is not None:
         vet_output(options.out)

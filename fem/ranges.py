@@ -8,7 +8,10 @@ A number without a range of its own must be finite and below 1e15.
 """
 
 import dataclasses
+import difflib
+import inspect
 import reprlib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any
@@ -129,6 +132,32 @@ def checked_array(
     if not ((array >= low) & (array <= high)).all():
         raise InputError(f"{name} = {shown(value)} must be finite numbers {Range(low, high)}")
     return array
+
+
+def check_distinct(name: str, values: Iterable) -> None:
+    """Raises InputError for a value that is there twice."""
+    seen = set()
+    for value in values:
+        if value in seen:
+            raise InputError(f"{name} has {shown(value)} twice; give each once")
+        seen.add(value)
+
+
+def takes(function: Callable, given: Mapping[str, Any], what: str, before: int = 1) -> None:
+    """Raises InputError for a keyword among `given` that `function` does not take, with the nearest
+    that it does, and where one is missing; what: has these keywords, for the message; before: how
+    many other arguments it gets."""
+    own = inspect.signature(function).parameters
+    if any(one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL) for one in own.values()):
+        return
+    for name in given:
+        if name not in own:
+            near = difflib.get_close_matches(name, own, n=1, cutoff=0.0)
+            nearest = f"; the nearest it has is '{near[0]}'" if near else ""
+            raise InputError(f"{what} has no setting '{name}'{nearest}")
+    for name, one in list(own.items())[before:]:
+        if one.default is one.empty and name not in given:
+            raise InputError(f"{what} needs '{name}'; give it")
 
 
 def shown(value: Any) -> str:

@@ -25,6 +25,7 @@ from fem.files import vet_output
 from fem.locks import lock
 from fem.online.reduced import ReducedStepper
 from fem.online.reduced_model import ReducedModel
+from fem.ranges import checked
 from fem.reduced.assemble import material_digest
 from fem.reduced.build import Choice, default_path, reduce, tested
 from fem.reduced.judge import judge
@@ -37,6 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     choice = Choice(options.modes, options.inputs, options.points, options.hard, seed=options.seed)
     if options.interval is not None and not 0 < options.interval < math.inf:
         raise InputError(f"--interval {options.interval} s must be positive and finite")
+    if options.first is not None:
+        checked("--first", options.first, 1, 1_000_000, whole=True)
     dataset = open_dataset(options.data).for_learning()
     if options.judge:
         model = ReducedModel.load(options.judge)

@@ -7,12 +7,11 @@ dataclass's `__post_init__`.
 
 import dataclasses
 import difflib
-import inspect
 import os
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,13 @@ import numpy as np
 import tomli_w
 
 from fem.errors import InputError
+from fem.files import checked_path
 from fem.ranges import ANY, KEY, check, check_fields, shown
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """The TOML file at `path` as nested dicts. Raises InputError if missing or malformed."""
-    path = Path(path)
+    path = checked_path(path)
     if not path.is_file():
         near = sorted(path.parent.glob("*.toml")) if path.parent.is_dir() else []
         hint = f"; beside it are {', '.join(p.name for p in near)}" if near else ""
@@ -93,6 +93,8 @@ def build(cls: type, tree: dict[str, Any], where: str = "") -> Any:
         elif name in tree:
             values[name] = _convert(tree[name], hints[name], _join(where, name))
             check(_join(where, name), values[name], field.metadata.get(KEY, ANY))
+            if values[name] == () != field.default:
+                raise InputError(f"{_join(where, name)} = [] is empty; give at least one")
     for name, field in fields.items():
         bare = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         if bare and name not in values:
@@ -127,19 +129,6 @@ def refuse_unused(settings: Any, names: Iterable[str], where: str, reason: str) 
             raise InputError(
                 f"{_join(where, name)} = {shown(value)} has no meaning for {reason}; leave it out"
             )
-
-
-def takes(function: Callable, given: Mapping[str, Any], what: str) -> None:
-    """Raises InputError for a keyword among `given` that `function` does not take, with the nearest
-    that it does; what: has these keywords, for the message."""
-    own = inspect.signature(function).parameters
-    if any(one.kind is one.VAR_KEYWORD for one in own.values()):
-        return
-    for name in given:
-        if name not in own:
-            near = difflib.get_close_matches(name, own, n=1, cutoff=0.0)
-            nearest = f"; the nearest it has is '{near[0]}'" if near else ""
-            raise InputError(f"{what} has no setting '{name}'{nearest}")
 
 
 def defaults(cls: type, names: Iterable[str]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from fem.errors import InputError
+from fem.ranges import checked, shown
 
 
 def available_cores() -> int:
@@ -83,8 +84,12 @@ def on_all_cores(
 def _pool(
     executor: Executor | None, workers: int | None, tasks: int
 ) -> AbstractContextManager[Executor]:
-    if executor:
+    if executor is not None:
+        if not hasattr(executor, "submit"):
+            raise InputError(f"the executor is {shown(executor)}; give one of concurrent.futures")
         return nullcontext(executor)  # the user's, who shuts it down
+    if workers is not None:
+        checked("workers", workers, 1, 10_000, whole=True)
     if tasks == 1:
         return _Here()
     workers = max(1, min(workers or available_cores(), tasks))

@@ -18,6 +18,7 @@ from fem.errors import InputError
 from fem.files import vet_output
 from fem.locks import lock
 from fem.online.reduced_model import ReducedModel
+from fem.ranges import checked
 from unet_fem.runtime.constitutive import read_constitutive
 
 
@@ -40,6 +41,11 @@ def main(arguments=None):
         raise InputError(
             f"--coarse {options.coarse} must be at least 1 and --steps {options.steps} not negative"
         )
+    if options.first is not None:
+        checked("--first", options.first, 1, 1_000_000, whole=True)
+    if options.interval is not None:
+        checked("--interval", options.interval, 1e-9, 1e9, "s")
+    checked("--hard", options.hard, 0, 1_000_000, whole=True)
     dataset = open_dataset(options.dataset).for_learning()
     if options.judge:
         return show(options.judge, dataset, options.interval, options.first)

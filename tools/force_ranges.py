@@ -58,9 +58,10 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     if not all(0 < factor < 1e3 for factor in options.factors):
         raise InputError(f"--factors {options.factors} must lie between 0 and 1000")
-    if options.usual < 1 or options.hard < 0:
+    if not 1 <= options.usual <= 100_000 or not 0 <= options.hard <= 100_000:
         raise InputError(
-            f"--usual {options.usual} must be at least 1, --hard {options.hard} not negative"
+            f"--usual {options.usual} must be at least 1, --hard {options.hard} not negative, and"
+            " both at most 100000"
         )
 
     from fem.data.scene import load_scene

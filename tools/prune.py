@@ -55,6 +55,10 @@ def main(arguments=None):
             f"--sparsity {options.sparsity} must lie between 0 and 1,"
             " --epochs and --rounds be at least 1"
         )
+    if len({f"{100 * share:.0f}" for share in options.sparsity}) < len(options.sparsity):
+        raise InputError(
+            f"--sparsity {options.sparsity}: two give one run, named in whole percents"
+        )
     with locked_run(options.run) as (settings, dataset):
         model_file(settings)
         # all is vetted: now TensorFlow may be imported, which takes seconds

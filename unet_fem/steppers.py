@@ -16,6 +16,7 @@ from pathlib import Path
 from fem.errors import InputError
 from fem.files import load_arrays
 from fem.online.stepper import Stepper
+from fem.ranges import shown, takes
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,23 @@ STEPPERS = {
 def stepper(kind: str, *arguments: object, **options: object) -> Stepper:
     """The stepper of `kind` from the arguments of its constructor. Raises InputError for an unknown
     kind."""
+    make = maker(kind)
+    takes(make, options, f"stepper '{kind}'", len(arguments))
+    return make(*arguments, **options)
+
+
+def maker(kind: str) -> Callable[..., Stepper]:
+    """What builds a stepper of `kind`. Raises InputError for an unknown one."""
     if kind not in STEPPERS:
         raise InputError(f"stepper '{kind}' is not one of {', '.join(STEPPERS)}")
-    return _named(STEPPERS[kind].make)(*arguments, **options)
+    return _named(STEPPERS[kind].make)
 
 
 def open_stepper(path: Path | str, **options: object) -> Stepper:
     """The stepper in the file at `path`; options go to its opener. Raises InputError for a file of
     no kind."""
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"{shown(path)} is no path of a stepper's file")
     suffix = Path(path).suffix
     kinds = [kind for kind in STEPPERS.values() if kind.opener and kind.suffix == suffix]
     if suffix == ".npz" and Path(path).is_file():
@@ -80,7 +90,9 @@ def open_stepper(path: Path | str, **options: object) -> Stepper:
         if not kinds:
             raise InputError(f"{path} is damaged or no file of a stepper (format: {form})")
     for kind in kinds:
-        return _named(str(kind.opener))(path, **options)
+        opener = _named(str(kind.opener))
+        takes(opener, options, f"the stepper of {path}")
+        return opener(path, **options)
     known = ", ".join(f"{kind.suffix} ({kind.label})" for kind in STEPPERS.values() if kind.suffix)
     raise InputError(f"{path} is no file of a stepper; give one of {known}")
 

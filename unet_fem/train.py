@@ -30,6 +30,7 @@ from unet_fem.training.run import (
 )
 from unet_fem.training.samples import scales, training_samples
 from unet_fem.training.settings import QUICK, Settings, load_settings
+from unet_fem.training.surface import volume_surface
 
 
 def train(settings: Settings, resume: bool = False) -> dict:
@@ -71,6 +72,7 @@ def _train(settings, dataset, resume, quiet):
     samples = training_samples(dataset, settings.model.window, field, settings.samples.hard)
     samples = read_as(*samples, len(dataset.time), settings.samples)
     scales(samples[0])  # refuses forces that are all zero
+    volume_surface(dataset, settings.loss.volume_of)  # refuses a set that is not there
     with lock(settings.folder):
         prepare_folder(settings, dataset, resume)
         keep_input(settings, dataset, field)

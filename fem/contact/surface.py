@@ -6,7 +6,7 @@ import numpy as np
 import scipy.spatial
 
 from fem.errors import InputError
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, checked_mesh
 from fem.online.contact_surface import ContactSurface
 
 
@@ -19,7 +19,7 @@ class Surface(ContactSurface):
     unit = "m"
 
     def __init__(self, mesh: HexMesh, on_held: bool = False) -> None:
-        faces = mesh.contact_faces
+        faces = checked_mesh(mesh).contact_faces
         if not len(faces):
             raise InputError(
                 "the mesh has no free surface to push on: every boundary node is fixed"

@@ -6,6 +6,7 @@ import re
 import shutil
 from collections import Counter
 from concurrent.futures import Executor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,8 @@ def generate(
     fem.data.confirm. Raises InputError where another process writes to `path`, no draw is fit, or
     the sample is too far from the true mass.
     """
+    if not isinstance(scene, Scene):
+        raise InputError(f"{str(scene)[:60]} is no Scene; take fem.load_scene")
     path, mesh = vet_output(path), scene.mesh.build()
     # a scene that cannot start fails here, not in a worker
     scene.build_solver(mesh)
@@ -47,7 +50,11 @@ def generate(
     require_memory(_bytes(scene, mesh), f"an interaction of frames.count = {scene.frames.count}")
     with lock(path):
         folder, run = _waiting(path, scene, mesh), (path.name, workers, executor)
-        parts = _simulated(scene, mesh, folder, *run)
+        try:
+            parts = _simulated(scene, mesh, folder, *run)
+        finally:
+            with suppress(OSError):  # it goes where nothing waits in it
+                folder.rmdir()
         confirmation = _confirmed(scene, mesh, parts, folder, *run)
         check_confirmed(scene, confirmation)
         write_dataset(path, scene, mesh, map(_read, parts.values()), confirmation)

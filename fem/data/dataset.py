@@ -33,6 +33,7 @@ from fem.data.schema import (
     damaged,
 )
 from fem.errors import InputError
+from fem.files import checked_path
 from fem.material.base import Hyperelastic
 from fem.memory import require_memory
 from fem.mesh import element
@@ -293,7 +294,7 @@ def read_mesh_group(
 
 def open_dataset(path: str | Path) -> Dataset:
     """The Dataset at `path`. Raises InputError if it is missing, damaged, or not one of ours."""
-    path = Path(path)
+    path = checked_path(path)
     if not path.is_file():
         raise InputError(
             f"no dataset {path}; make it with python -m fem.generate configs/<scene>.toml --out"

@@ -14,7 +14,7 @@ from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.material.groups import Groups, by_cells, check_groups, split_table
 from fem.material.kinds import from_table, to_table
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, checked_mesh
 from fem.mesh.read import check_held
 from fem.ranges import number
 from fem.solver.explicit import Solver
@@ -306,7 +306,7 @@ class Scene:
         grid: (nx, ny, nz) nodes of the grid to embed the mesh in, also if it lies on one of its
         own. Raises InputError for a mesh that is not held.
         """
-        check_held(mesh)
+        check_held(checked_mesh(mesh))
         mesh = replace(mesh, grid=None) if grid else on_own_grid(mesh)
         choice = MeshChoice("given", grid=grid, sha256=mesh.digest, mesh=mesh)
         return replace(self, mesh=choice)
@@ -327,5 +327,6 @@ class Scene:
 def load_scene(path: str | Path) -> Scene:
     """The Scene in the TOML file at `path`. Raises InputError that names a wrong key or value, or a
     missing mesh file."""
-    scene, folder = config.build(Scene, config.read_toml(path)), Path(path).parent
+    scene = config.build(Scene, config.read_toml(path))
+    folder = Path(path).parent
     return replace(scene, mesh=scene.mesh.located(folder), solver=scene.solver.located(folder))

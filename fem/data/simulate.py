@@ -12,8 +12,7 @@ from fem.data.scene import SOLVERS
 from fem.errors import InputError
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
-from fem.ranges import shown
-from fem.settings import takes
+from fem.ranges import shown, takes
 from fem.solver.energy import EnergyLedger
 from fem.solver.load_ramp import NodalLoad
 
@@ -52,6 +51,6 @@ def simulate(
         raise InputError(f"the push is {shown(push)}; give a Push, or a function of the time in s")
     if kind not in SOLVERS:
         raise InputError(f"kind '{kind}' is not one of {', '.join(SOLVERS)}")
-    takes(SOLVERS[kind], settings, f"the {kind} solver")
+    takes(SOLVERS[kind], settings, f"the {kind} solver", 2)
     solver = SOLVERS[kind](mesh, material, **settings)
     return stacked(simulate_frames(solver, load, times, [EnergyLedger()]))

@@ -13,6 +13,7 @@ from fem.mesh.contact_faces import contact_surface
 from fem.mesh.places import boundary_faces
 from fem.mesh.select import select
 from fem.online.grid import NodeGrid
+from fem.ranges import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +195,13 @@ class HexMesh:
     @cached_property
     def _contact_surface(self):
         return contact_surface(self)
+
+
+def checked_mesh(mesh: HexMesh) -> HexMesh:
+    """The mesh. Raises InputError for what is none."""
+    if not isinstance(mesh, HexMesh):
+        raise InputError(f"the mesh is {shown(mesh)}; give a HexMesh")
+    return mesh
 
 
 def check_cells(points: np.ndarray, cells: np.ndarray) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from fem.errors import InputError
 from fem.memory import require_memory
 from fem.mesh import element
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, checked_mesh
 from fem.mesh.places import outer_faces
 from fem.online.grid import NodeGrid
 from fem.ranges import checked, shown
@@ -149,8 +149,7 @@ def refined(mesh: HexMesh) -> HexMesh:
     A new node belongs to a node set if all the old ones around it do; it is held, or loaded, if it
     lies on an old boundary face whose nodes all are. Raises InputError for what is no mesh.
     """
-    if not isinstance(mesh, HexMesh):
-        raise InputError(f"{shown(mesh)} is no HexMesh; give one")
+    checked_mesh(mesh)
     weights = np.prod(1 + CUTS[:, None] * element.CORNERS, axis=2) / 8  # (27, 8)
     around = np.where(weights > 0, mesh.cells[:, None], -1)  # (E, 27, 8) old nodes around the new
     _, first, new = np.unique(

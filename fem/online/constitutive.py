@@ -211,7 +211,7 @@ def learned_of(
     shares = [f"V{b}" for b in range(len(model.blocks)) if f"V{b}" in arrays]
     guard = ["guard"] if "guard" in arrays else []
     learned = {name: arrays[name] for name in names + shares + guard}
-    columns = learned["N0"].shape[-1]
+    columns = (0, *learned["N0"].shape)[-1]
     shapes: dict[str, tuple] = {"gain": (model.modes,), "effort": (2,)}
     shapes |= {f"N{b}": (len(block.M), columns) for b, block in enumerate(model.blocks)}
     shapes |= dict.fromkeys(guard, (2, 5))
@@ -220,6 +220,6 @@ def learned_of(
         found = learned[name]
         if found.shape != shape or found.dtype.kind != "f" or not np.isfinite(found).all():
             raise InputError(f"{path}: {name} must be finite and of shape {shape}; {REMEDY}")
-    if columns % 9 or columns > len(model.blocks[0].A):
+    if not columns or columns % 9 or columns > len(model.blocks[0].A):
         raise InputError(f"{path}: N0 has {columns} columns, which are no 9 a point; {REMEDY}")
     return learned

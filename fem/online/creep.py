@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fem.errors import InputError
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, as_field, check_interval
 from fem.ranges import checked_array
 
 RELAXED, MOST = 0.2, 1000  # see steps_within
@@ -30,10 +30,14 @@ class Creep:
     """D(t) = 1 + sum j_k (1 - exp(-t / l_k)): the displacement under a held force, in elastic
     answers.
 
-    terms: ((j, l in s), ...), the weights and retardation times.
+    terms: ((j, l in s), ...), the weights and retardation times; positive.
     """
 
     terms: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        if self.terms:
+            checked_array("the terms of creep", self.terms, (None, 2), 1e-300, 1e15)
 
     @classmethod
     def of(cls, prony: tuple[tuple[float, float], ...]) -> "Creep":
@@ -151,7 +155,7 @@ class CreepFilter:
         Raises InputError for another shape, values that are not finite and a dt that is not
         positive; the state is then as it was.
         """
-        force = np.asarray(force)
+        force = as_field(force)
         if force.shape != self.shape or force.dtype.kind not in "fiu":
             raise InputError(
                 f"the force is {force.dtype} of shape {force.shape}; give real numbers of shape"

@@ -1,12 +1,14 @@
 """How far a displacement may be from the truth, whoever gave it."""
 
+import math
+
 import numpy as np
 
 from fem.online.creep import Creep, CreepFilter
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.residual import Residual
-from fem.online.stepper import check_interval
+from fem.online.stepper import as_field, check_interval
 
 CARRIED = 0.02  # share of the linear answer that the modes may miss
 
@@ -35,7 +37,7 @@ class ErrorIndicator:
         creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
         self._linear = np.zeros(self._size + model.modes)  # W f, and the elastic answer g
         self._memory = CreepFilter(creep, self._linear.shape)
-        self._elapsed = 0.0  # s, the dt that the residual's filters are for
+        self._elapsed = math.nan  # s, the dt that the residual's filters are for
         self.reset()
 
     def reset(self) -> None:
@@ -61,7 +63,7 @@ class ErrorIndicator:
             self.residual.set_interval(dt)
             self._elapsed = dt
         a, square = self.fields.coordinates(np.asarray(displacement))
-        _, g = self.fields.encode(np.asarray(force))
+        _, g = self.fields.encode(as_field(force))
         lost = self._lost(g, dt)
         self.residual.begin(g)
         with np.errstate(all="ignore"):

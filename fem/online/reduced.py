@@ -49,6 +49,7 @@ a mirror there is block 0 alone, and all are left ones.
                                `nodes` N, `interval` s of the frames that M was fitted to
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,8 @@ from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.residual import Residual
 from fem.online.secants import Secants
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, as_field, check_interval, check_state
+from fem.ranges import checked
 
 # chosen on validation interactions, see docs/reduced.md
 TOLERANCE, MOST, SECANTS = 2e-3, 20, 8
@@ -97,7 +99,7 @@ class ReducedStepper:
         self.fields, self.residual = Fields(model), Residual(model)
         creep = Creep.of(tuple((float(g), float(tau)) for g, tau in model.prony))
         self._memory = CreepFilter(creep, (model.modes,))
-        self._elapsed, self._steps = 0.0, 1  # s, the dt that the residual's filters are for
+        self._elapsed, self._steps = math.nan, 1  # s, the dt that the residual's filters are for
         self._secants = Secants(model.modes, SECANTS)
         self.reset()
 
@@ -119,7 +121,7 @@ class ReducedStepper:
         """Displacement in mm, float32, dt seconds after the call before, under `force` in mN that
         grew linearly since; see fem.online.stepper.Stepper."""
         dt = self.take(dt)
-        layout, g = self.fields.encode(np.asarray(force))
+        layout, g = self.fields.encode(as_field(force))
         self.carried = self.fields.carried
         if self._steps == 1:
             self._frame(g, dt)
@@ -201,11 +203,8 @@ class ReducedStepper:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
-        wanted = {name: values.shape for name, values in self.state().items()}
-        if {name: np.shape(values) for name, values in state.items()} != wanted:
-            raise InputError(
-                "the state is of another stepper; restore what state() of the same stepper gave"
-            )
+        check_state(state, self.state())
+        checked("count", int(state["count"]), 0, 2**62, whole=True)
         self.residual.restore(state)
         self._memory.restore(state)
         self._correction = np.array(state["correction"], np.float32)

@@ -81,7 +81,7 @@ class ReducedModel:
             local["z"] = sizes["S"] + local["n"]
             for name, axes in BLOCK.items():
                 shape = tuple((sizes | local)[axis] for axis in axes)
-                _check(f"{name}{b}", getattr(block, name), shape, "f")
+                _check(f"{name}{b}", getattr(block, name), shape, "f", "float32")
             if local["n"] > local["R"]:
                 raise InputError(f"A{b} sees {local['n']} modes of {local['R']}; {REMEDY}")
         if sizes["S"] % 9:
@@ -171,7 +171,7 @@ class ReducedModel:
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         except (KeyError, ValueError, AttributeError, TypeError, IndexError) as error:
-            raise InputError(f"{path} is damaged ({error!r}); {REMEDY}") from None
+            raise InputError(f"{path} is damaged ({repr(error)[:120]}); {REMEDY}") from None
 
     def save(self, path: Path | str) -> None:
         """Write it to `path` (.npz), at once or not at all."""
@@ -189,9 +189,10 @@ class ReducedModel:
         return cls.of(arrays, path)
 
 
-def _check(name, values, shape, kinds):
-    """Raises InputError unless an array is of this shape and kind, and finite."""
-    if values.shape != shape or values.dtype.kind not in kinds:
+def _check(name, values, shape, kinds, dtype=None):
+    """Raises InputError unless an array is of this shape, kind and type, if one is given, and
+    finite."""
+    if values.shape != shape or values.dtype.kind not in kinds or dtype not in (None, values.dtype):
         raise InputError(
             f"{name} is {values.dtype} of shape {values.shape} and the others need {shape};"
             f" {REMEDY}"

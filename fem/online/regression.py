@@ -23,6 +23,7 @@ from fem.errors import InputError
 from fem.files import load_arrays, save_arrays
 from fem.online.creep import Creep, CreepFilter
 from fem.online.grid import NodeGrid
+from fem.online.stepper import as_field
 from fem.online.window import WindowStepper
 from fem.ranges import checked
 
@@ -209,7 +210,7 @@ class RegressionStepper(WindowStepper):
     def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
         """As WindowStepper.step. Raises InputError also as Regression.check_loads does."""
         if self._regression.elastic:
-            nodal = self.grid.is_nodal(np.asarray(force))
+            nodal = self.grid.is_nodal(as_field(force))
             self._regression.check_loads((self.grid.to_grid(force) if nodal else force)[None])
         return super().step(force, dt)
 

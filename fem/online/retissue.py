@@ -17,6 +17,7 @@ from fem.errors import InputError
 from fem.material.neo_hooke import NeoHooke
 from fem.online.creep import Creep
 from fem.online.reduced_model import ReducedModel
+from fem.ranges import checked
 
 Learned = dict[str, np.ndarray]
 
@@ -55,6 +56,9 @@ def with_tissue(
     blocks, factor = list(model.blocks), 1.0
     if (mu, K) != (None, None):
         old_mu, old_K = float(law.mu), float(law.K)
+        for name, given in (("mu", mu), ("K", K)):
+            if given is not None:
+                checked(name, given, 1e-9, 1e15, "Pa")
         mu, K = old_mu if mu is None else float(mu), old_K if K is None else float(K)
         if not (0 < mu < np.inf and 2 * mu / 3 < K < np.inf):
             raise InputError(f"mu = {mu:g} Pa must be positive and K = {K:g} Pa above 2/3 of it")

@@ -2,7 +2,7 @@
 loops."""
 
 from numbers import Real
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -52,6 +52,36 @@ def check_interval(interval: float | None, dt: float | None) -> None:
         raise InputError(
             f"dt = {dt:g} s, but this stepper is made for {interval:g} s between calls;"
             " leave dt out"
+        )
+
+
+def as_field(force: Any) -> np.ndarray:
+    """A force as an array. Raises InputError for what is none; its shape is the stepper's to
+    judge."""
+    try:
+        return np.asarray(force)
+    except ValueError:
+        raise InputError("the force has rows of different lengths; give (N, 3) mN") from None
+
+
+def check_state(state: Any, own: State, finite: bool = True) -> None:
+    """Raises InputError unless `state` holds the names and shapes of a stepper's `own` state, in
+    numbers that are finite, or none of them NaN."""
+    try:
+        found = {name: np.asarray(values) for name, values in dict(state).items()}
+        fits = {name: array.shape for name, array in found.items()} == {
+            name: np.shape(array) for name, array in own.items()
+        }
+        whole = all(array.dtype.kind in "fiub" for array in found.values()) and not any(
+            np.isnan(array).any() or finite and not np.isfinite(array).all()
+            for array in found.values()
+        )
+    except (TypeError, ValueError):
+        fits = whole = False
+    if not (fits and whole):
+        raise InputError(
+            "the state is of another stepper, or not finite; restore what state() of the same"
+            " stepper gave"
         )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from fem.errors import InputError
 from fem.online.grid import NodeGrid
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, as_field, check_interval
 
 LARGEST_FORCE = 1e12  # mN at a node: beyond it float32 overflows on the way
 
@@ -66,7 +66,7 @@ class WindowStepper:
         it was.
         """
         elapsed = self._elapsed(dt)
-        force = np.asarray(force)
+        force = as_field(force)
         nodal = self.grid.is_nodal(force)
         if force.size and not np.abs(force).max() <= LARGEST_FORCE:
             raise InputError(f"the force is {np.abs(force).max():g} mN at a node; give it in mN")

@@ -5,7 +5,8 @@ import numpy as np
 from fem.errors import InputError
 from fem.material.base import Hyperelastic, poisson_ratio, shear_modulus
 from fem.mesh import element as hexahedron
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, checked_mesh
+from fem.ranges import checked, shown
 from fem.solver.internal_force import InternalForce
 from fem.solver.record import Hourglass
 
@@ -14,6 +15,15 @@ from fem.solver.record import Hourglass
 LOCKING_NU = 0.45
 SMALLEST_J = 0.05  # below it a cell has lost its meaning, and p = K (J - 1) - mu / J runs away
 PASS = 512  # cells whose corners are looked at together
+
+
+def check_parts(mesh: HexMesh, material: Hyperelastic) -> None:
+    """Raises InputError for what is no mesh or no material."""
+    checked_mesh(mesh)
+    if not isinstance(material, Hyperelastic):
+        raise InputError(
+            f"the material is {shown(material)}; give a Hyperelastic, such as NeoHooke"
+        )
 
 
 class DeformableBody:
@@ -35,10 +45,8 @@ class DeformableBody:
         hourglass_stiffness: float = 0.2,
         allow_locking: bool = False,
     ) -> None:
-        if not 0 <= hourglass_stiffness < np.inf:
-            raise InputError(
-                f"solver.hourglass_stiffness = {hourglass_stiffness} must not be negative"
-            )
+        check_parts(mesh, material)
+        checked("solver.hourglass_stiffness", hourglass_stiffness, 0, 1e15)
         orphans = np.setdiff1d(np.arange(mesh.n_nodes), mesh.cells)
         if orphans.size:
             raise InputError(

@@ -8,6 +8,7 @@ from fem.mesh.hexmesh import HexMesh
 from fem.online.creep import Creep
 from fem.online.grid import MM, MN
 from fem.online.regression import Regression, RegressionStepper
+from fem.solver.body import check_parts
 from fem.solver.compliance import compliance
 
 
@@ -24,6 +25,7 @@ def elastic_answer(
     interval: s between forces, None for any. Raises InputError for a mesh that does not lie on a
     grid, and for one whose compliance would not fit into memory.
     """
+    check_parts(mesh, material)
     if mesh.grid is None:
         raise InputError(
             "the elastic answer is of a mesh whose nodes lie on a grid, and this one is embedded in"

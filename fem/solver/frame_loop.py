@@ -15,7 +15,7 @@ from fem.mesh.embedding import Embedding
 from fem.mesh.hexmesh import HexMesh
 from fem.mesh.shapes import from_voxels
 from fem.online.grid import MM, MN
-from fem.online.stepper import State, check_interval, check_nodal
+from fem.online.stepper import State, as_field, check_interval, check_nodal
 from fem.ranges import number
 from fem.settings import normalised
 from fem.solver.explicit import Solver
@@ -120,7 +120,7 @@ class FrameLoop:
         where the FEM stops.
         """
         check_interval(self.interval, dt)
-        force, grid = np.asarray(force), self.grid
+        force, grid = as_field(force), self.grid
         if grid is None or grid.is_nodal(force):
             return self._step(check_nodal(force, self.mesh.n_nodes))
         return grid.to_grid(self._step(grid.from_grid(force)))

@@ -8,8 +8,8 @@ import numpy as np
 from fem.errors import InputError, Stop
 from fem.material.base import Hyperelastic
 from fem.mesh.hexmesh import HexMesh
-from fem.ranges import checked
-from fem.solver.body import SMALLEST_J, DeformableBody
+from fem.ranges import checked, checked_array
+from fem.solver.body import SMALLEST_J, DeformableBody, check_parts
 from fem.solver.critical_step import lumped_mass
 from fem.solver.record import Energies
 
@@ -57,6 +57,7 @@ class Leapfrog(DeformableBody):
         mass_scaling: float | np.ndarray = 1.0,
         allow_locking: bool = False,
     ) -> None:
+        check_parts(mesh, material)
         _check(mesh, damping, mass_scaling)
         super().__init__(mesh, material, element, precision, hourglass_stiffness, allow_locking)
         self.damping = float(damping)
@@ -153,6 +154,7 @@ def kinetic_energy(mass: np.ndarray, v: np.ndarray) -> float:
 
 def _check(mesh, damping, mass_scaling):
     checked("solver.damping", damping, 0, 1e6, "1/s")
+    checked_array("solver.mass_scaling", np.ravel(mass_scaling), (None,))
     if np.shape(mass_scaling) not in ((), (mesh.n_cells,)):
         raise InputError(
             f"solver.mass_scaling has shape {np.shape(mass_scaling)};"

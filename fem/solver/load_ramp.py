@@ -50,6 +50,15 @@ def checked_duration(duration: float) -> None:
     checked("duration", duration, 0, 1e12, "s")
 
 
+def sampled_load(load: NodalLoad, time: float, shape: tuple[int, ...]) -> np.ndarray:
+    """The load at `time`. Raises InputError for another shape, and for values whose square is not
+    finite."""
+    found = first_load(load, time, shape)
+    if not np.isfinite(np.vdot(found, found)):
+        raise InputError(f"the load at {time:g} s is not finite, or too large; give N")
+    return found
+
+
 def first_load(load: NodalLoad, time: float, shape: tuple[int, ...]) -> np.ndarray:
     """The load at `time`. Raises InputError for another shape."""
     if not callable(load):

@@ -7,7 +7,7 @@ import numpy as np
 
 from fem.online.creep import Creep, CreepFilter, exponential_weights
 from fem.online.stepper import State
-from fem.solver.load_ramp import NodalLoad
+from fem.solver.load_ramp import NodalLoad, sampled_load
 
 # share of the largest remembered load so far that may have relaxed besides what a step knows of it
 BEND = 0.005
@@ -55,13 +55,13 @@ class LoadSteps:
         old: the load in which the last ended; jump: the load at `start`, where it is another
         """
         if not self.prony:
-            last = np.asarray(load(end), float)
+            last = sampled_load(load, end, old.shape)
             return [LoadStep(end, last, last - old, [])]
         relaxing = -sum(g * np.expm1((start - end) / tau) for g, tau in self.prony)
         count = int(np.ceil(relaxing / SAMPLE))
         inner = start + (end - start) * np.arange(1, count) / max(count, 1)
         times = [*inner, end]
-        loads = [np.asarray(load(time), float) for time in times]
+        loads = [sampled_load(load, time, old.shape) for time in times]
         if jump is not None:
             times.insert(0, start + JUMP * (end - start))
             loads.insert(0, jump)

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fem.errors import InputError, SolverStopped, Stop
+from fem.errors import SolverStopped, Stop
 from fem.material.base import Hyperelastic, shear_modulus
 from fem.mesh.hexmesh import HexMesh
+from fem.online.stepper import check_state
+from fem.ranges import checked
 from fem.solver.body import DeformableBody
 from fem.solver.gate import Gate
 from fem.solver.load_ramp import NodalLoad, checked_duration, first_load
@@ -54,11 +56,7 @@ class QuasiStatic(DeformableBody):
         allow_locking: bool = False,
     ) -> None:
         super().__init__(mesh, material, element, precision, hourglass_stiffness, allow_locking)
-        if not FINEST[precision] <= tolerance <= 0.1:
-            raise InputError(
-                f"solver.tolerance = {tolerance} must be from {FINEST[precision]:g} to 0.1 in"
-                f" {precision}; {TOLERANCE:g} is usual"
-            )
+        checked("solver.tolerance", tolerance, FINEST[precision], 0.1)
         self.tolerance = float(tolerance)
         self.search = EquilibriumSearch(mesh, material, element, hourglass_stiffness)
         self.gate: Gate | None = Gate()
@@ -202,12 +200,7 @@ class QuasiStatic(DeformableBody):
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Go on from what `snapshot` gave. Raises InputError for that of another solver."""
         here = self.snapshot()
-        if {name: np.shape(array) for name, array in snapshot.items()} != {
-            name: array.shape for name, array in here.items()
-        }:
-            raise InputError(
-                "the snapshot is of another solver; restore one of the same mesh and material"
-            )
+        check_state(snapshot, here, finite=False)
         for name in _KEPT:
             value = np.array(snapshot[name])
             setattr(self, name, value if value.ndim else value.item())

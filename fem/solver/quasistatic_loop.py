@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from fem.errors import InputError
 from fem.material.base import Hyperelastic
-from fem.mesh.hexmesh import HexMesh
+from fem.mesh.hexmesh import HexMesh, checked_mesh
 from fem.online.grid import MM, MN
-from fem.online.stepper import State, check_interval, check_nodal
+from fem.online.stepper import State, as_field, check_interval, check_nodal, check_state
 from fem.solver.quasistatic import TOLERANCE, QuasiStatic
 
 
@@ -31,7 +30,7 @@ class QuasiStaticLoop:
         hourglass_stiffness: float = 0.2,
         tolerance: float = TOLERANCE,
     ) -> None:
-        self.mesh, self.grid = mesh, mesh.grid
+        self.mesh, self.grid = mesh, checked_mesh(mesh).grid
         self.solver = QuasiStatic(
             mesh, material, element, precision, hourglass_stiffness, tolerance
         )
@@ -51,7 +50,7 @@ class QuasiStaticLoop:
         positive, SolverStopped where no equilibrium is found.
         """
         check_interval(self.interval, dt)
-        force, grid = np.asarray(force), self.grid
+        force, grid = as_field(force), self.grid
         if grid is None or grid.is_nodal(force):
             return self._step(check_nodal(force, self.mesh.n_nodes), dt)
         return grid.to_grid(self._step(grid.from_grid(force), dt))
@@ -69,9 +68,6 @@ class QuasiStaticLoop:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another loop."""
-        if "last" not in state or np.shape(state["last"]) != self.load.shape:
-            raise InputError(
-                "the state is not of this loop; restore one of the same mesh and settings"
-            )
+        check_state(state, self.state(), finite=False)
         self.solver.restore({name: array for name, array in state.items() if name != "last"})
         self.load = np.array(state["last"])

@@ -83,9 +83,11 @@ def survives(folder, words, times, seed):
     shutil.copytree(folder, aside, symlinks=True)
     run(aside, *words)
     whole = time.monotonic() - began
-    hits = sum(killed(folder, *words, after=rng.uniform(0.2, 0.9) * whole) for _ in range(times))
+    for n in range(times):
+        if not killed(folder, *words, after=rng.uniform(0.3, 0.9) * whole):
+            return n, aside  # what was kept left too little to do
     run(folder, *words)
-    return hits, aside
+    return times, aside
 
 
 def contents(path):
@@ -264,7 +266,7 @@ CLOCK = """
 import random, sys, time
 rng, real, jump = random.Random(3), time.time, [0.0]
 def jumping():
-    jump[0] += rng.choice([0, 0, 0, -1e6, 1e6, -3600, 1e9, -1e9])
+    jump[0] = rng.choice([0, 0, 0, -1e6, 1e6, -3600, 1e9, -1e9])
     return real() + jump[0]
 time.time = jumping
 from fem.generate import main

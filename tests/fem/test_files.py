@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fem.errors import InputError
-from fem.files import replacing, save_arrays, write_bytes, write_text
+from fem.files import replacing, save_arrays, vet_output, write_bytes, write_text
 from fem.locks import lock
 
 
@@ -68,6 +68,19 @@ def test_paths_that_cannot_be_written_are_refused_in_one_line(tmp_path):
             write_text(path, "text")
         assert str(path)[:60] in str(error.value) and "\n" not in str(error.value)
     assert names(tmp_path) == ["file", "folder"] and not names(tmp_path / "folder")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes with a name")
+def test_a_device_or_a_pipe_is_no_output(tmp_path):
+    """A file that took its place would take it away from everyone."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, "/dev/null"):
+        with pytest.raises(InputError, match="is a device or a pipe"):
+            vet_output(path)
+    with pytest.raises(InputError, match="is a device or a pipe"):
+        write_text(pipe, "text")
+    assert pipe.is_fifo()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of a file to set")

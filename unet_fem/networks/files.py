@@ -2,6 +2,7 @@
 
 import io
 import json
+import time
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from fem.files import DAMAGES, replacing
 from unet_fem.networks.layers import float32_twin
 
 LARGEST = 2**33  # bytes of a model's file, unpacked: weights of 2e9 parameters
+FIRST = 315_619_200  # s, 2 January 1980: zip archives know no earlier time
 LONGEST = 2**26  # bytes of its description
 # what a description may name: Keras's own classes, and of those none that loads or runs other code
 MODULES = {None, "keras", "keras.layers", "keras.initializers", "keras.regularizers"}
@@ -23,6 +25,8 @@ FOREIGN = {"Lambda", "TFSMLayer", "TorchModuleWrapper", "JaxLayer", "FlaxLayer",
 
 def save_model(model: keras.Model, path: Path | str) -> None:
     """Write a whole Keras model in float32 to `path` (.keras)."""
+    if time.time() < FIRST:
+        raise InputError(f"the clock says {time.ctime()}, and no .keras file is so old; set it")
     with replacing(path) as partial:
         keras.saving.save_model(float32_twin(model), partial)
 

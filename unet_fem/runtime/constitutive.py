@@ -21,7 +21,8 @@ from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
 from fem.online.retissue import with_tissue
 from fem.online.secants import Secants
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, as_field, check_interval, check_state
+from fem.ranges import checked, checked_array
 from unet_fem.runtime.guard import Guard
 from unet_fem.runtime.rates import rates
 from unet_fem.runtime.surrogate_file import check_graph, graph_digest
@@ -56,6 +57,7 @@ class ConstitutiveSurrogate:
         effort: tuple[float, int] | None = None,
         threads: int = 1,
     ) -> None:
+        checked("threads", threads, 1, 1024, whole=True)
         if interval is not None:
             check_interval(None, interval)
         self.path, self.interval = Path(path), interval
@@ -65,9 +67,12 @@ class ConstitutiveSurrogate:
         self._threads = threads
         self._open(self.path.read_bytes())
         self._learned = learned_of(self.model, arrays, path)
-        share, most = self._learned["effort"] if effort is None else effort
-        if not (0 < share <= 1 and most >= 1):
-            raise InputError(f"effort = {(share, most)} must be a share up to 1 and at least 1")
+        asked = self._learned["effort"] if effort is None else effort
+        share, most = checked_array("effort", asked, (2,))
+        if not (0 < share <= 1 and 1 <= most <= 1000 and most == int(most)):
+            raise InputError(
+                f"effort = {(share, most)} must be a share up to 1 and evaluations from 1 to 1000"
+            )
         self.share, self.most = float(share), int(most)
         self._bulk = bulk_of(self.model.law)  # of the data
         self._secants = Secants(self.model.modes, SECANTS)
@@ -122,7 +127,7 @@ class ConstitutiveSurrogate:
             for name, value in zip(RATES, new, strict=True):
                 place(value[0], self._in[name]()[0])
             self._dt = dt
-        layout, g = self.fields.encode(np.asarray(force))
+        layout, g = self.fields.encode(as_field(force))
         if self._guarded:
             self.guard.begin(self.fields, float(dt))  # type: ignore[arg-type]
         if self._steps > 1:
@@ -227,12 +232,7 @@ class ConstitutiveSurrogate:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
-        wanted = {name: values.shape for name, values in self.state().items()}
-        found = {name: np.shape(values) for name, values in state.items()}
-        if found != wanted or not all(np.isfinite(values).all() for values in state.values()):
-            raise InputError(
-                "the state is of another stepper; restore what state() of the same stepper gave"
-            )
+        check_state(state, self.state())
         for name in MEMORY:
             self._in[name]()[0] = state[name]
         self.guard.restore(state)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fem.errors import InputError, SolverStopped
-from fem.online.stepper import State, Stepper
+from fem.online.stepper import State, Stepper, as_field
 from unet_fem.runtime.constitutive import ConstitutiveSurrogate
 
 
@@ -32,7 +32,7 @@ class Fallback:
     def step(self, force: np.ndarray, dt: float | None = None) -> np.ndarray:
         """Displacement in mm, float32, dt seconds after the call before, under `force` in mN that
         grew linearly since; see fem.online.stepper.Stepper."""
-        force, dt = np.asarray(force), self.interval if dt is None else dt
+        force, dt = as_field(force), self.interval if dt is None else dt
         if self.corrected:
             return self.solver.step(force, dt)
         answer = self.surrogate.step(force, dt)
@@ -65,7 +65,7 @@ class Fallback:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
-        if "corrected" not in state or "alone" not in state:
+        if not isinstance(state, dict) or not {"corrected", "alone"} <= state.keys():
             raise InputError(
                 "the state is of another stepper; restore what state() of the same stepper gave"
             )

@@ -20,6 +20,7 @@ of NumPy arrays, a reduced model without points (fem.online.reduced) and what it
 """
 
 import io
+import math
 import warnings
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from fem.files import load_arrays, write_bytes
 from fem.online.creep import Creep, CreepFilter, filter_weights
 from fem.online.fields import Fields
 from fem.online.reduced_model import ReducedModel
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, as_field, check_interval, check_state
 from unet_fem.runtime.guard import Guard
 from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 
@@ -61,7 +62,7 @@ class ModalSurrogate:
         self.guard = Guard(self.model, arrays["guard"])
         prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
         self._creep = CreepFilter(Creep.of(prony), (self.model.modes,))
-        self._forgets, self._dt = Creep(prony), 0.0
+        self._forgets, self._dt = Creep(prony), math.nan
         self._warned = False
         self.reset()
 
@@ -101,7 +102,7 @@ class ModalSurrogate:
             check_interval(None, dt)
             self._weights()[:] = filter_weights(self._forgets, dt)  # type: ignore[arg-type]
             self._dt = dt  # type: ignore[assignment]
-        layout, g = self.fields.encode(np.asarray(force))
+        layout, g = self.fields.encode(as_field(force))
         linear = self._creep.step(g, self._dt).astype(np.float32)
         inputs = self._inputs()[0]
         inputs[: len(g)], inputs[len(g) :] = linear, g
@@ -137,12 +138,7 @@ class ModalSurrogate:
 
     def restore(self, state: State) -> None:
         """Go on from what `state` gave. Raises InputError for the state of another stepper."""
-        wanted = {name: np.shape(values) for name, values in self.state().items()}
-        found = {name: np.shape(values) for name, values in state.items()}
-        if found != wanted or not all(np.isfinite(values).all() for values in state.values()):
-            raise InputError(
-                "the state is of another stepper; restore what state() of the same stepper gave"
-            )
+        check_state(state, self.state())
         self._kept()[:] = state["features"]
         self._creep.restore(state)
         self.guard.restore(state)

@@ -17,7 +17,7 @@ from ai_edge_litert.interpreter import Interpreter
 from fem.errors import InputError
 from fem.online.grid import NodeGrid
 from fem.online.input_field import InputField
-from fem.online.stepper import State, check_interval
+from fem.online.stepper import State, as_field, check_interval
 from fem.online.volume import VOLUME_BAND, QuadVolume
 from fem.ranges import checked
 from unet_fem.runtime.surrogate_file import read_surrogate
@@ -88,6 +88,11 @@ class Surrogate:
         self._ones = np.ones(self.mask.size, "float32")
         self._volume = QuadVolume(about["points"], about["faces"], self.mask)
         self.rest_volume = self._volume(np.zeros(field, "float32"))
+        if not 0 < self.rest_volume < np.inf:
+            raise InputError(
+                f"{path} is damaged: its faces bound {self.rest_volume:g} mm3;"
+                " make it again with python tools/quantize.py runs/<name>"
+            )
         self._warned: set[str] = set()
         self.reset()
 
@@ -148,7 +153,7 @@ class Surrogate:
         that are not finite, and for another dt; the window is then as it was.
         """
         check_interval(self.interval, dt)
-        force = np.asarray(force)
+        force = as_field(force)
         nodal = self._is_nodal(force)
         if out is not None and not (
             isinstance(out, np.ndarray)
@@ -249,7 +254,7 @@ class Surrogate:
     def _judge_volume(self, displacement):
         self.volume = self._volume(displacement)
         change = self.volume / self.rest_volume - 1
-        self.volume_alarm = abs(change) > VOLUME_BAND
+        self.volume_alarm = not abs(change) <= VOLUME_BAND  # a NaN is one
         if self.volume_alarm:
             self._warn(
                 "volume",

@@ -9,7 +9,8 @@ from fem import settings as config
 from fem.cache import cache_root
 from fem.errors import InputError
 from fem.files import plain_name
-from fem.ranges import Range, check, number
+from fem.ranges import check_distinct, checked, number, shown, takes
+from unet_fem.steppers import STEPPERS, maker
 from unet_fem.training.settings import Settings, load_settings
 
 LINEAR = "linear regression"  # names the regression among the claims of the paper
@@ -70,6 +71,22 @@ class Answer:
                 f"answers: '{self.label}' has file = '{self.file}' and stepper ="
                 f" '{self.stepper}'; give one of the two"
             )
+        if not (self.label.strip() and self.family.strip()):
+            raise InputError(
+                f"answers: label = '{self.label}', family = '{self.family}'; give both"
+            )
+        if self.hard and not self.interactions:
+            raise InputError(
+                f"answers: hard of '{self.label}' has no meaning without interactions; leave it out"
+            )
+        if self.file:
+            known = sorted({str(row.suffix) for row in STEPPERS.values() if row.suffix})
+            if Path(self.file).suffix not in known:
+                raise InputError(
+                    f"answers: file = '{self.file}' ends in none of {', '.join(known)}"
+                )
+        else:
+            takes(maker(self.stepper), self.options, f"answers: '{self.label}'", 2)
 
 
 @dataclass(frozen=True)
@@ -164,7 +181,11 @@ class Study:
         for name in (self.name, *(network.name for network in self.networks)):
             plain_name(name, "name")
         for label, seconds in self.paper_latency.items():
-            check(f"paper_latency.{label}", seconds, Range(1e-9, 1e6, "s"))
+            checked(f"paper_latency.{label}", seconds, 1e-9, 1e6, "s")
+        for name, says in self.claims.items():
+            if not isinstance(says, str):
+                raise InputError(f"claims.{name} = {shown(says)} must be the paper's words")
+        self._check_lists()
         names = [network.name for network in self.networks]
         if len(set(names)) < len(names):
             raise InputError("networks: two have the same name; a run's name must be its own")
@@ -199,6 +220,25 @@ class Study:
                     f"order: '{label}' is no label of a main network:"
                     f" {', '.join(labels)} or {LINEAR}"
                 )
+        for label in self.paper_latency:
+            if label not in (*labels, "FEM"):
+                raise InputError(
+                    f"paper_latency.{label} is of none of {', '.join(labels)} and FEM; leave it out"
+                )
+        for order in self.order:
+            check_distinct("order: better and worse", (order.better, order.worse))
+
+    def _check_lists(self) -> None:
+        """None names one thing twice."""
+        own = ("deployed", "configurations", "learning_rate", "window", "prune", "pod_modes")
+        lists = {name: getattr(self, name) for name in own}
+        for table in ("fem", "stability"):
+            fields = getattr(self, table)
+            lists |= {f"{table}.{name}": getattr(fields, name) for name in vars(fields)}
+        for name, values in lists.items():
+            if isinstance(values, tuple):
+                check_distinct(name, values)
+        check_distinct("prune, in whole percents", [f"{100 * share:.0f}" for share in self.prune])
 
     def _check_tries(self) -> None:
         """Every competitor has the same budget of settings to try on validation."""

@@ -3,14 +3,14 @@
 import json
 import math
 import time
-import warnings
 from pathlib import Path
 
 import keras
+import numpy as np
 
 from fem.errors import InputError
-from fem.files import replacing, seal, sealed, write_text
-from unet_fem.networks.files import check_links, load_model, save_model
+from fem.files import load_arrays, save_arrays, write_text
+from unet_fem.networks.files import LARGEST, load_model, save_model
 from unet_fem.training.run import read_history
 
 __all__ = ["Checkpoint", "load_model", "save_model"]
@@ -27,30 +27,30 @@ class Checkpoint(keras.callbacks.Callback):
     def __init__(self, folder: Path | str, steps_per_epoch: int) -> None:
         super().__init__()
         self.folder, self.steps_per_epoch = Path(folder), steps_per_epoch
-        self.weights = self.folder / "checkpoint.weights.h5"
+        self.weights = self.folder / "checkpoint.npz"
         self.history_file = self.folder / "history.json"
         self.history: dict[str, list[float]] = {}
 
     def restore(self, model: keras.Model) -> int:
         """Load the checkpoint into the compiled `model`, if there is one. Returns the number of
         finished epochs. Raises InputError for a checkpoint that is damaged or another model's."""
+        if (old := self.folder / "checkpoint.weights.h5").exists():
+            raise InputError(
+                f"{old} is of an older version and cannot go on; judge what is there with python"
+                f" -m unet_fem.evaluate {self.folder}, or delete it and train again"
+            )
         if not self.weights.exists():
             return 0
         model.optimizer.build(model.trainable_variables)
-        try:
-            if not sealed(self.weights):  # HDF5 reads zeros and flipped bits as weights
-                raise OSError("it is not what was written")
-            check_links(self.weights)
-            with warnings.catch_warnings():  # what does not fit is told in one line below
-                warnings.simplefilter("ignore")
-                model.load_weights(self.weights)
-        # Keras and HDF5 fail in many ways on what is not theirs
-        except (ValueError, OSError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+        arrays, variables = load_arrays(self.weights, most=LARGEST), state_of(model)
+        kinds = {name: (tuple(own.shape), own.dtype) for name, own in variables.items()}
+        if {name: (own.shape, own.dtype.name) for name, own in arrays.items()} != kinds:
             raise InputError(
-                f"{self.weights} does not fit this model or is damaged"
-                f" ({' '.join(str(error).split())[:200]}); give another name= or delete"
-                f" {self.folder}"
-            ) from None
+                f"{self.weights} does not fit this model or is damaged; give another name= or"
+                f" delete {self.folder}"
+            )
+        for name, variable in variables.items():
+            variable.assign(arrays[name])
         history = read_history(self.history_file)
         done = int(model.optimizer.iterations) // self.steps_per_epoch
         self.history = {name: values[:done] for name, values in history.items()}
@@ -80,6 +80,11 @@ class Checkpoint(keras.callbacks.Callback):
         write_text(self.history_file, json.dumps(self.history, indent=1))
         if self.best == len(self.history["val_relative_error"]) - 1:
             save_model(self.model, self.folder / "best.keras")
-        with replacing(self.weights) as partial:
-            self.model.save_weights(partial)
-            seal(partial)
+        state = {name: np.asarray(variable) for name, variable in state_of(self.model).items()}
+        save_arrays(self.weights, **state)
+
+
+def state_of(model: keras.Model) -> dict[str, keras.Variable]:
+    """All that training goes on from, by a name for a file: weights, seeds and the optimizer's."""
+    variables = [*model.variables, *model.optimizer.variables]
+    return {str(n): variable for n, variable in enumerate(variables)}

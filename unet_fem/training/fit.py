@@ -22,6 +22,7 @@ from unet_fem.training.regressions import fit_regression, linear_regression
 from unet_fem.training.run import model_file
 from unet_fem.training.samples import Samples
 from unet_fem.training.settings import Settings
+from unet_fem.training.surface import volume_surface
 
 
 def build_model(
@@ -40,7 +41,7 @@ def build_loss(settings: Settings, dataset: Dataset) -> losses.Loss:
     unet_fem.training.losses.volume_loss."""
     choice = settings.loss
     return losses.volume_loss(
-        *losses.volume_surface(dataset, choice.volume_of),
+        *volume_surface(dataset, choice.volume_of),
         weight=choice.volume_weight,
         threshold=choice.volume_threshold,
         direction_weight=choice.direction_weight,
@@ -53,7 +54,7 @@ def compile_model(
     """Adam, the loss and the metrics of `settings`; the learning rate is a function of the step, so
     a resumed run keeps it."""
     choice = settings.train
-    points, faces = losses.volume_surface(dataset, settings.loss.volume_of)
+    points, faces = volume_surface(dataset, settings.loss.volume_of)
     rate = choice.learning_rate
     if choice.schedule == "cosine":
         rate = keras.optimizers.schedules.CosineDecay(rate, choice.epochs * steps_per_epoch)
@@ -147,7 +148,7 @@ def seed(number: int) -> None:
 def said_scale(settings: Settings, dataset: Dataset, train: Samples) -> str:
     """How large the volume term is beside the mean square, in words."""
     choice = settings.loss
-    surface = losses.volume_surface(dataset, choice.volume_of)
+    surface = volume_surface(dataset, choice.volume_of)
     band = choice.volume_threshold * losses.volume_at_rest(*surface)
     scale = losses.volume_scale(
         *surface, choice.volume_weight, choice.volume_threshold, train.displacement

@@ -12,9 +12,7 @@ import keras
 import numpy as np
 from keras import ops
 
-from fem.data.dataset import Dataset
 from fem.errors import InputError
-from fem.mesh.places import boundary_faces
 from fem.online.volume import VOLUME_BAND
 from fem.ranges import checked, checked_array
 
@@ -46,25 +44,6 @@ def deformed_volume(displacement: Tensor, points: np.ndarray, faces: np.ndarray)
     return ops.sum((a + b + c + d) * ops.cross(c - a, d - b), axis=(1, 2)) / 24
 
 
-def volume_surface(dataset: Dataset, volume_of: str = "all") -> tuple[np.ndarray, np.ndarray]:
-    """(points (nx*ny*nz, 3) mm, faces (M, 4)) of `deformed_volume` around all cells of a dataset's
-    grid, or around the cell set that `volume_of` names.
-
-    Raises InputError for a mesh without that set, or without places of its nodes on the grid.
-    """
-    if volume_of == "all":
-        return dataset.surface
-    mesh = dataset.fem_mesh
-    chosen, index = mesh.cell_sets.get(volume_of), mesh.grid_index
-    if chosen is None or not chosen.any() or index is None:
-        have = ", ".join(mesh.cell_sets) or "none"
-        raise InputError(
-            f"loss.volume_of = '{volume_of}', but the mesh of {dataset.path} has the cell sets"
-            f" {have}{' and does not lie on the node grid' * (index is None)}; set it to 'all'"
-        )
-    return dataset.surface[0], index[boundary_faces(mesh.cells[chosen])]
-
-
 def volume_scale(
     points: np.ndarray, faces: np.ndarray, weight: float, threshold: float, truth: np.ndarray
 ) -> float:
@@ -93,7 +72,7 @@ def volume_loss(
         sample by sample,
         L = MSE                                      elsewhere,
 
-    with V_t the volume of the prediction, of all cells or of a set, see `volume_surface`. The
+    with V_t the volume of the prediction, of all cells or of a set, see surface.volume_surface. The
     second term has mm6 and the first mm2: see `volume_scale`. With a direction_weight, L also has
     direction_weight times the mean over the loaded nodes of ReLU(1 - cos) between force and
     predicted displacement; y_true then has six channels, the displacement and the last step's

@@ -11,7 +11,7 @@ from fem import settings as config
 from fem.data.dataset import Dataset, open_dataset
 from fem.data.scene import Scene, load_scene
 from fem.errors import InputError
-from fem.files import read_json, vet_output, write_text
+from fem.files import checked_path, read_json, vet_output, write_text
 from fem.locks import lock
 from fem.material import NeoHooke
 from fem.memory import require_memory
@@ -25,7 +25,7 @@ OLD_DEFAULTS = {"units": 512, "steps": 2, "filters": 64}
 
 def read_settings(folder: Path | str) -> Settings:
     """The settings that the run in `folder` was started with. Raises InputError if it is no run."""
-    written = Path(folder, "config.toml")
+    written = checked_path(folder) / "config.toml"
     if not written.is_file():
         raise InputError(
             f"{folder} is not a training run (it has no config.toml);"
@@ -114,6 +114,8 @@ def vet(settings: Settings, resume: bool = False) -> None:
     """Raises InputError for all that can be wrong with `settings` before anything is made: the
     folder, the scene, the dataset if there is one, and the network on its grid; of the runs beside
     it too."""
+    if not isinstance(settings, Settings):
+        raise InputError(f"{str(settings)[:60]} are no Settings; take unet_fem's load_settings")
     vet_folder(settings, resume)
     vet_output(settings.folder, folder=True)
     scene = load_scene(settings.scene)

@@ -248,7 +248,7 @@ def test_a_snapshot_goes_on_bit_for_bit(block, monkeypatch):
     assert np.array_equal(advance(other, load, [1.0, 2.0]), expected)
     one.restore(kept)
     assert np.array_equal(advance(one, load, [1.0, 2.0]), expected)
-    with pytest.raises(InputError, match="of another solver"):
+    with pytest.raises(InputError, match="is of another"):
         QuasiStatic(block, TISSUE.elastic()).restore(kept)
 
 

@@ -85,7 +85,7 @@ def test_a_study_names_only_its_own_networks():
 @pytest.mark.parametrize(
     ("change", "remedy"),
     [
-        ("main=[]", "name at least one network"),
+        ("main=[]", "main = .. is empty"),
         (
             'main=[{label = "A", run = "tiny"}, {label = "A", run = "tiny_unet"}]',
             "must differ from each other",

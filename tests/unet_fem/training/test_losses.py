@@ -19,9 +19,9 @@ from unet_fem.training.losses import (
     volume_at_rest,
     volume_loss,
     volume_scale,
-    volume_surface,
     volume_violation,
 )
+from unet_fem.training.surface import volume_surface
 
 GRID = (4, 3, 3)
 EDGE = 0.5087  # mm

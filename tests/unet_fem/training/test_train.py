@@ -136,7 +136,7 @@ def test_one_command_leaves_a_run_with_model_metrics_and_figures(folder, capsys,
         "history.json",
         "best.keras",
         "linear.npz",
-        "checkpoint.weights.h5",
+        "checkpoint.npz",
         "metrics.json",
         "tensorboard",
     ):
@@ -314,8 +314,8 @@ def test_a_checkpoint_of_another_model_is_refused(folder, capsys, unjudged):
     train.main(["lstm.toml", "train.epochs=1"])
     train.main(["unet.toml", "train.epochs=1"])
     capsys.readouterr()
-    shutil.copy("runs/unet/checkpoint.weights.h5", "runs/lstm/checkpoint.weights.h5")
-    words = "checkpoint.weights.h5", "does not fit"
+    shutil.copy("runs/unet/checkpoint.npz", "runs/lstm/checkpoint.npz")
+    words = "checkpoint.npz", "does not fit"
     stops_with(train.main, ["lstm.toml", "train.epochs=1"], capsys, *words)
 
 

@@ -21,10 +21,10 @@ from unet_fem.training.losses import (
     deformed_volume,
     volume_at_rest,
     volume_scale,
-    volume_surface,
 )
 from unet_fem.training.samples import Samples, load_samples
 from unet_fem.training.settings import Settings
+from unet_fem.training.surface import volume_surface
 
 
 def unseen_cases(dataset: Dataset) -> list[Case]:
