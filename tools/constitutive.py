@@ -22,7 +22,7 @@ def main(arguments=None):
         prog="python tools/constitutive.py", description=__doc__.split("\n")[0]
     )
     parser.add_argument("dataset", help="HDF5 file of fem.generate")
-    parser.add_argument("file", type=Path, help="the network, such as runs/quick/lite/float32.tflite")
+    parser.add_argument("file", type=Path, help="such as runs/quick/lite/float32.tflite")
     parser.add_argument("--interval", type=float, help="judge at frames of so many s")
     parser.add_argument("--first", type=int, help="judge by that many of each kind")
     options = parser.parse_args(arguments)

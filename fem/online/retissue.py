@@ -39,7 +39,7 @@ def with_tissue(
     law = model.law
     if not isinstance(law, NeoHooke):
         raise InputError(f"moduli are for the neo-Hookean law, not for {type(law).__name__}")
-    if np.ndim(mu) or np.ndim(K):
+    if any(np.ndim(given) for given in (mu, K) if given is not None):
         raise InputError(
             "give one mu and one K for all of the tissue; a part of it that is softer or stiffer"
             " moves otherwise than in the data: train on a scene with [material.<cell set>]"
