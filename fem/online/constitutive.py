@@ -96,19 +96,30 @@ class ConstitutiveStepper(ReducedStepper):
         return cls(*load_constitutive(path), interval, effort)
 
     def _solve(self, a):
-        """The coordinates after one evaluation, or a few."""
+        """The coordinates after one evaluation, or a few; of a frame that does not settle, those of
+        the best."""
         start, self.evaluations = a + (self.gain - 1) * self._correction, 0
+        kept, best = start, np.inf
         self._secants.clear()
         while True:
-            r = self.residual(start)
-            step = limited(self._step(r, start), start)
-            a = start + step
+            a, step = self._evaluated(start)
             self.evaluations += 1
-            size = float(np.linalg.norm(a)) + 1e-3
-            self.unrest = max(float(np.linalg.norm(r)), float(np.linalg.norm(step))) / size
-            if self.evaluations >= self.most or self.unrest <= self.share:
+            if self.unrest < best:
+                kept, best = start, self.unrest
+            if self.unrest <= self.share:
                 return a
+            if self.evaluations == self.most:
+                return a if self.unrest <= best else self._evaluated(kept)[0]
             start = start + limited(self._secants.step(start, step), start)
+
+    def _evaluated(self, start):
+        """(coordinates, step) of one evaluation from `start`."""
+        r = self.residual(start)
+        step = limited(self._step(r, start), start)
+        a = start + step
+        size = float(np.linalg.norm(a)) + 1e-3
+        self.unrest = max(float(np.linalg.norm(r)), float(np.linalg.norm(step))) / size
+        return a, step
 
     def _step(self, r, a):
         """Newton's step from a, where the residual r was last asked for."""

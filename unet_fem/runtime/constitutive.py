@@ -187,44 +187,52 @@ class ConstitutiveSurrogate:
         """A step, or the frame, to the force whose elastic answer is g (R,) mm."""
         self._g()[0] = g
         self._invoke()
-        self.evaluations, start = 1, None
+        self.evaluations, start, kept, best = 1, None, None, np.inf
         while self._unsettled():
-            start = self._more(start)
+            if self._unrest < best:
+                kept, best = start, self._unrest
+            if self.evaluations == self.most:
+                if self._unrest > best or np.isnan(self._unrest):
+                    self._evaluate(kept)
+                    self._unsettled()
+                if self._guarded and self.most > 1:
+                    self.guard.flag(2)
+                break
+            start = self._next(start)
+            self._evaluate(start)
+            self.evaluations += 1
         for into, out in self._moves:
             np.copyto(into(), out())
 
     def _unsettled(self):
-        """Whether the frame gets another evaluation."""
-        unrest, share = float(self._signs().max()), self.share
+        """Whether the frame asks for another evaluation."""
+        self._unrest, share = float(self._signs().max()), self.share
         if self._guarded:
             a = self._a()[0]
             linear = a - self._out["new_correction"]()[0]
-            self.guard.judge(linear, a, unrest, float(np.abs(self._u()).max()))
+            self.guard.judge(linear, a, self._unrest, float(np.abs(self._u()).max()))
             if self.guard.bound > DOUBT:
                 share = min(share, max(share / CARE, FINEST))
-        if unrest <= share:
-            return False
-        if self._guarded and self.evaluations == self.most > 1:
-            self.guard.flag(2)
-        return self.evaluations < self.most
+        return not self._unrest <= share
 
-    def _more(self, start):
-        """Another evaluation of the frame, whose last one was from `start`, None for the first;
-        where it starts."""
+    def _next(self, start):
+        """Where the next evaluation starts, after one from `start`, None for the first."""
         a = self._a()[0].copy()
         if start is None:
             linear = a - self._out["new_correction"]()[0]
             start = linear + self._learned["gain"] * self._in["correction"]()[0]
             self._secants.clear()
         step = a - start
-        start = start + limited(self._secants.step(start, step), start)
-        given, again = self._in["given"], self._in["again"]
-        given()[0] = start
-        again()[:] = 1
+        return start + limited(self._secants.step(start, step), start)
+
+    def _evaluate(self, start):
+        """Evaluate the frame again, from `start`, None for its own."""
+        again = self._in["again"]
+        if start is not None:
+            self._in["given"]()[0] = start
+            again()[:] = 1
         self._invoke()
         again()[:] = 0
-        self.evaluations += 1
-        return start
 
     def state(self) -> State:
         """All that the next answer depends on: stress history, creep filter, last correction."""

@@ -9,7 +9,7 @@ from fem.online.stepper import State
 
 ALARM = 0.05  # a bound above this share of the displacement is flagged
 UNREST = 0.1  # above it a frame is flagged: the step was long, and what follows it is unknown
-STRETCH = 0.15  # of |ln(K / mu)|, added to a bound: 0.05 to 0.12 of it are seen
+STRETCH = 0.15, 0.3  # and the latter times `size`: of |ln(K / mu)|, added to a bound; half is seen
 REASONS = (  # of the parts of a bound
     "K / mu is far from the data's, whose modes are not those of this tissue",
     "the force is none that the data's contacts make",
@@ -72,7 +72,8 @@ class Guard:
             size += self._past / square**0.5
         self.features = np.array([1.0, missing, unrest, size])
         parts = self.weights * self.features
-        parts[0] += STRETCH * self.stretched
+        stretch = (STRETCH[0] + STRETCH[1] * size) * self.stretched
+        parts[0] += stretch
         self.bound, self.reason = float(parts.sum()), ""
         if size > self.far:
             self.flag(3)
@@ -82,7 +83,7 @@ class Guard:
             self.bound = np.inf
             self.reason = "some of the force stands where no contact of the data pushes"
         elif not self.bound <= ALARM:
-            parts[0] -= self.weights[0]
+            parts[0] = stretch
             self.reason = REASONS[int(np.argmax(parts))]
 
     def flag(self, part: int) -> None:
