@@ -56,7 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f" changes by {100 * lost:.2g} % (relative L2)"
         )
     if not options.quiet:
-        print(f"next: python -m unet_fem.train scene={options.scene} data={out} name={out.stem}")
+        config = "paper_unet" if lost else "constitutive"  # which is judged on the mesh's own grid
+        hard = 4 * scene.interactions.hard_set // 5  # the others are to choose by
+        print(
+            f"next: python -m unet_fem.train configs/{config}.toml scene={options.scene} data={out}"
+            f" name={out.stem} samples.hard={hard}"
+        )
 
 
 def _counts(rejected: dict[str, int]) -> str:

@@ -45,8 +45,9 @@ COMMANDS = {
     "tools/benchmark.py": [(["runs/none"], "runs/none")],
     "tools/benchmark_fem.py": [],
     "tools/constitutive.py": [
-        (["none.h5", "none.npz", "out"], "none.h5"),
-        (["none.h5", "none.npz", "out", "--coarse", "0"], "--coarse 0"),
+        (["none.h5", "none.tflite"], "none.h5"),
+        (["none.h5", "none.tflite", "--first", "0"], "--first = 0"),
+        (["none.h5", "none.tflite", "--interval", "0"], "--interval = 0"),
     ],
     "tools/draw_contacts.py": [(["none.toml", "a.png"], "none.toml")],
     "tools/export.py": [(["none.h5", "out"], "none.h5")],

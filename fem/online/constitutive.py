@@ -39,7 +39,7 @@ KRYLOV = 3  # conjugate residuals a step
 SECANTS = 5  # of a frame
 TINY = 1e-7  # mm2, where nothing is out of balance
 TRUST = 0.5  # a step is at most TRUST (|a| + 1 mm) long
-REMEDY = "train one with python tools/constitutive.py"
+REMEDY = "train one with python -m unet_fem.train configs/constitutive.toml"
 
 
 def bulk_of(law: Hyperelastic) -> np.ndarray:

@@ -29,7 +29,7 @@ from unet_fem.runtime.surrogate_file import check_graph, graph_digest
 
 MEMORY = ("history", "slow", "correction")
 RATES = ("c", "past", "advance", "creep", "remembered")
-REMEDY = "make it again with python tools/constitutive.py"
+REMEDY = "make it again with python -m unet_fem.train configs/constitutive.toml"
 # where the guard's bound is above DOUBT, a frame settles to share / CARE, if that is not finer than
 # FINEST; chosen on validation
 DOUBT, CARE, FINEST = 0.01, 5.0, 1e-3

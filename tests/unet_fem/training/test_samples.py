@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fem.data.dataset import open_dataset
 from fem.errors import InputError
 from unet_fem.training import samples as data
 
@@ -37,3 +38,15 @@ def test_forces_that_are_all_zero_are_named():
     nothing = np.zeros((2, 3, 3, 3, 3), "float32")
     with pytest.raises(InputError, match="contact.force"):
         data.scales(data.Samples(nothing, nothing, np.zeros(2), np.zeros(2, bool), np.ones(2)))
+
+
+def test_hard_interactions_are_learned_from_where_that_is_asked_for(unseen_dataset):
+    dataset = open_dataset(unseen_dataset)
+    usual, validation = data.training_samples(dataset, None)
+    both, same = data.training_samples(dataset, None, hard=1)
+    frames = dataset.scene.frames.count
+    assert len(both) == len(usual) + frames and len(same) == len(validation)
+    assert both.hard.sum() == frames and not usual.hard.any()
+    hard = dataset.read("hard", numbers=[1])
+    np.testing.assert_array_equal(both.force[-frames:], hard["force"][0])
+    np.testing.assert_array_equal(both.displacement[-frames:], hard["displacement"][0])
