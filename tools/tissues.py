@@ -1,7 +1,7 @@
 """Other tissues in a constitutive network, with nothing learned again, against the quasi-static
 solver with the same tissue.
 
-    python tools/tissues.py data/wide.h5 runs/constitutive/float32.tflite --hard 160
+    python tools/tissues.py data/wide.h5 runs/constitutive/lite/float32.tflite --hard 160
 
 Prints Markdown; --out docs/tissues writes it as .md, and the numbers as .json. Judged are a few of
 the interactions held out, by their contacts.
@@ -46,7 +46,7 @@ def main(arguments=None):
         prog="python tools/tissues.py", description=__doc__.split("\n")[0]
     )
     parser.add_argument("dataset", help="HDF5 file of fem.generate")
-    parser.add_argument("network", help=".tflite of tools/constitutive.py")
+    parser.add_argument("network", help="such as runs/constitutive/lite/float32.tflite")
     parser.add_argument("--hard", type=int, default=0, help="as it was for fem.reduce")
     parser.add_argument("--out", type=Path, help="where to write .md and .json")
     options = parser.parse_args(arguments)

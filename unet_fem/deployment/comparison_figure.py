@@ -32,8 +32,8 @@ def comparison_figure(
     points: Mapping[str, tuple[float, Mapping[str, float | None]]], shown: Shown, dataset: Dataset
 ) -> Figure:
     """points: {label: (ms a frame, {"usual", "hard": relative L2})}."""
-    figure = Figure(figsize=(11, 6.4), layout="constrained")
-    parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
+    figure = Figure(figsize=(11, 5.8), layout="constrained")
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.8, 1))
     above, below = parts
     axes = above.subplots(1, 2)
     colours = dict(zip(points, OWN, strict=False))
@@ -64,7 +64,7 @@ def _draw_points(axis, points, colours):
         side.set_major_formatter(StrMethodFormatter("{x:g}"))
         side.set_minor_formatter(NullFormatter())
     axis.margins(0.25)
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=8, loc="center right")
 
 
 def _most_moved(dataset, truth):

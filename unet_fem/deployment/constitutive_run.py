@@ -1,6 +1,7 @@
 """The run of a constitutive network: from its dataset over the reduced model to its files."""
 
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from unet_fem.training.judge import evaluate
 from unet_fem.training.run import model_file
 from unet_fem.training.settings import Settings
 
+APART = ".partial-"  # of the folder that the network's files are made in
+
 
 def train_constitutive(settings: Settings, dataset: Dataset, quiet: bool = False) -> dict:
     """All that `settings` asks for, into settings.folder, which unet_fem.training.run has made; a
@@ -28,8 +31,10 @@ def train_constitutive(settings: Settings, dataset: Dataset, quiet: bool = False
         print("training the constitutive network", flush=True)
         options, hard = _options(settings), settings.samples.hard
         recipe = Recipe(options.steps) if options.steps else None
+        for left in settings.folder.glob(f"{APART}*"):  # by a process that was killed
+            shutil.rmtree(left)
         # elsewhere first: what is written on the way has no guard yet
-        with tempfile.TemporaryDirectory(dir=settings.folder, prefix=".partial-") as apart:
+        with tempfile.TemporaryDirectory(dir=settings.folder, prefix=APART) as apart:
             made = make_network(dataset, model, apart, hard, options.coarse, recipe, _tell)
             make_folder(done.parent)
             for path in sorted(made.values(), key=lambda path: path.name == done.name):

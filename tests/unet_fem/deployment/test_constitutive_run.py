@@ -174,12 +174,14 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_never_stopped(made, monkeypat
         train.main(["run.toml"])
     assert stop.value.code == 130 and "same command again" in capsys.readouterr().err
     assert not list(Path("runs/tiny").rglob("*.tflite"))
+    Path("runs/tiny/.partial-killed").mkdir()
     monkeypatch.setattr(constitutive_run, "reduce", None)  # the reduced model is there already
     monkeypatch.setattr(train, "begun", None)  # and so are the runs beside it
     monkeypatch.setattr(judge.figures, "draw_all", lambda *given: None)
     before = Path("runs/tiny_cnn_lstm/metrics.json").stat().st_mtime_ns
     train.main(["run.toml"])
     assert Path("runs/tiny/lite/network.npz").read_bytes() == whole
+    assert not list(Path("runs/tiny").glob(".partial*"))
     assert Path("runs/tiny_cnn_lstm/metrics.json").stat().st_mtime_ns == before
     assert finished(load_settings("run.toml"))
 
