@@ -29,6 +29,7 @@ def main(arguments=None):
     parser.add_argument("--hard", type=int, default=0, help='of the split "hard" to learn from')
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="of the learning sets")
     parser.add_argument("--answers", nargs="+", default=[], metavar="WORD", help="those with it")
+    parser.add_argument("--kept", action="store_true", help="only what was done, nothing new")
     parser.add_argument("--out", type=Path, default=Path("docs/learning_curve"))
     options = parser.parse_args(arguments)
     if min(options.sizes) < 1 or options.hard < 0:
@@ -48,7 +49,9 @@ def main(arguments=None):
     answers = tuple(a for a in ANSWERS if not words or any(word in a for word in words))
     if not answers:
         raise InputError(f"--answers {' '.join(words)}: none of {', '.join(ANSWERS)}")
-    result = learning_curve(dataset, judged_by, sorted(options.sizes), options.hard, answers, told)
+    result = learning_curve(
+        dataset, judged_by, sorted(options.sizes), options.hard, answers, options.kept, told
+    )
     print(table(result))
     command = (
         f"python tools/learning_curve.py {options.dataset} --hard {options.hard} --judge"

@@ -40,9 +40,10 @@ def test_a_part_holds_what_the_dataset_holds(dataset, tmp_path):
 def test_the_curve_is_kept_and_told(dataset, tmp_path):
     answers = tuple(name for name in curve.REGRESSIONS if "POD" not in name)
     told: list[str] = []
-    result = curve.learning_curve(dataset, dataset, [1, 3], 1, answers, told.append)
-    assert result == curve.learning_curve(dataset, dataset, [1, 3], 1, answers, told.append)
+    result = curve.learning_curve(dataset, dataset, [1, 3], 1, answers, tell=told.append)
+    assert result == curve.learning_curve(dataset, dataset, [1, 3], 1, answers, tell=told.append)
     assert len(result["rows"]) == len(told) / 2 == 2 * len(answers)
+    assert result == curve.learning_curve(dataset, dataset, [1, 3], 1, kept=True, tell=told.append)
     free = [row for row in result["rows"] if row["answer"].startswith("linear elastic")]
     assert {row["interactions"] for row in free} == {0} and free[0]["usual"] == free[1]["usual"]
     assert all(row["simulation"] > 0 for row in result["rows"] if row["interactions"])

@@ -51,6 +51,7 @@ def learning_curve(
     sizes: list[int],
     hard: int = 0,
     answers: tuple[str, ...] = ANSWERS,
+    kept: bool = False,
     tell: Callable[[str], None] = print,
 ) -> dict:
     """{"interactions": {"usual", "hard": how many judge}, "rows": [{"answer", "interactions",
@@ -59,7 +60,8 @@ def learning_curve(
     An answer learns from the first `size` of the dataset's interactions, of which each size has the
     same share from the split "hard": `hard` of all. The others of "hard" and the validation split
     are to choose by, for all sizes. `judged_by` has the interactions that judge. What is done is
-    kept under the cache root. Raises InputError for a size that the dataset does not have.
+    kept under the cache root; kept: only what is there. Raises InputError for a size that the
+    dataset does not have.
     """
     groups, rows = tested(judged_by), []
     for size in sizes:
@@ -68,15 +70,17 @@ def learning_curve(
         spent = cost(dataset, path) @ shares(dataset, size, hard)
         for answer in answers:
             key = digest([answer, REDUCED, MODAL], [part.path, judged_by.path], VERSION)
-            name = answer.replace(" ", "_")
+            found = path / f"{answer.replace(' ', '_')}.json"
+            if kept and not found.is_file():
+                continue
 
             def make(answer: str = answer, part: Dataset = part, path: Path = path) -> dict:
                 stepper, seconds = make_answer(answer, part, path)
                 with muted():
-                    found = {name: judge(stepper, judged_by, g) for name, g in groups.items()}
-                return {name: one.error for name, one in found.items()} | {"learning": seconds}
+                    verdicts = {n: judge(stepper, judged_by, g) for n, g in groups.items()}
+                return {n: one.error for n, one in verdicts.items()} | {"learning": seconds}
 
-            result = once(path / f"{name}.json", key, make)
+            result = once(found, key, make)
             free = answer.startswith("linear elastic")
             row = {"answer": answer, "interactions": 0 if free else size, **result}
             rows.append(row | {"simulation": 0.0 if free else spent})
