@@ -33,7 +33,7 @@ def main(arguments=None):
     dataset = open_dataset(options.dataset).for_learning()
     read_constitutive(options.file)
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # read when TensorFlow is imported
-    from unet_fem.deployment.constitutive import judge_efforts
+    from unet_fem.deployment.constitutive import judge_efforts, judge_guard
 
     found = judge_efforts(options.file, dataset, options.interval, options.first)
     print("effort        judged by  error %  worst %  evaluations  CPU ms a frame p50   p99")
@@ -43,6 +43,12 @@ def main(arguments=None):
                 f"{share:5g}, {most}      {name:<9} {100 * one.error:8.2f} {100 * one.worst:8.2f}"
                 f" {one.evaluations:12.2f} {one.p50:19.2f} {one.p99:5.2f}"
             )
+    if options.interval is None:
+        print("\neffort        judged by  in the bound  flagged  above 5 % and silent, % of frames")
+        for (share, most), kinds in judge_guard(options.file, dataset).items():
+            for name, one in kinds.items():
+                shares = "".join(f"{100 * share:11.2f}" for share in one)
+                print(f"{share:5g}, {most:<2}     {name:<9} {shares}")
 
 
 if __name__ == "__main__":

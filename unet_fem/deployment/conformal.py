@@ -1,6 +1,7 @@
 """What a guard goes by, from interactions that nothing was learned from."""
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -9,6 +10,7 @@ import scipy.sparse
 from fem.data.dataset import Sequence
 from unet_fem.deployment.answers import muted
 from unet_fem.runtime.constitutive import ConstitutiveSurrogate
+from unet_fem.runtime.guard import ALARM
 from unet_fem.runtime.modal import ModalSurrogate
 
 COVERAGE = 0.92  # of frames, for nine of ten of other interactions: frames of one are alike
@@ -16,23 +18,45 @@ FAR = 0.99
 LEAST = 0.05  # mm, |u| over all nodes, below which no share of it is asked for
 
 
+class Coverage(NamedTuple):
+    """Shares of frames: within the bound, flagged, and those that err by more than ALARM without
+    being flagged."""
+
+    covered: float
+    flagged: float
+    silent: float
+
+
 def watched(
     surrogate: ConstitutiveSurrogate | ModalSurrogate, sequences: Iterable[Sequence]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(features (S, 4), relative errors (S,)) of the frames of some interactions."""
-    features, errors = [], []
+    found = [(surrogate.guard.features, error) for error in _errors(surrogate, sequences)]
+    features, errors = zip(*found, strict=True)
+    return np.array(features), np.array(errors)
+
+
+def coverage(surrogate: ConstitutiveSurrogate, sequences: Iterable[Sequence]) -> Coverage:
+    """How the guard does on the frames of some interactions."""
+    found = np.array(
+        [(e, surrogate.bound, surrogate.flagged) for e in _errors(surrogate, sequences)]
+    )
+    errors, bounds, flagged = found.T
+    silent = (errors > ALARM) & (flagged == 0)
+    return Coverage(*(float(np.mean(some)) for some in (errors <= bounds, flagged, silent)))
+
+
+def _errors(surrogate, sequences):
+    """The relative error of one frame after the other, of those that are not next to nothing."""
     for one in sequences:
         surrogate.reset()
-        for dt, force, truth in zip(
-            np.diff(one.time), one.force[1:], one.displacement[1:], strict=True
-        ):
+        steps = zip(np.diff(one.time), one.force[1:], one.displacement[1:], strict=True)
+        for dt, force, truth in steps:
             with muted():
                 found = surrogate.step(force, float(dt))
             size = float(np.linalg.norm(truth))
             if size > LEAST:
-                features.append(surrogate.guard.features)
-                errors.append(float(np.linalg.norm(found - truth)) / size)
-    return np.array(features), np.array(errors)
+                yield float(np.linalg.norm(found - truth)) / size
 
 
 def fitted_guard(features: np.ndarray, errors: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from fem.reduced.build import held_out, learned, tested
 from fem.reduced.judge import Verdict, judge
 from fem.reduced.volumetric import volumetric_share
 from unet_fem.deployment.answers import muted
-from unet_fem.deployment.conformal import fitted_guard, watched
+from unet_fem.deployment.conformal import Coverage, coverage, fitted_guard, watched
 from unet_fem.deployment.constitutive_graph import export_constitutive
 from unet_fem.networks.constitutive import ConstitutiveCell
 from unet_fem.runtime.constitutive import ConstitutiveSurrogate, write_constitutive
@@ -45,6 +45,18 @@ def judge_efforts(
                 name: judge(stepper, dataset, some[:first], interval)
                 for name, some in tested(dataset).items()
             }
+    return result
+
+
+def judge_guard(path: Path | str, dataset: Dataset) -> dict[tuple[float, int], dict[str, Coverage]]:
+    """{effort: {"usual", "hard": Coverage}} of the file's own effort and one evaluation always."""
+    result: dict[tuple[float, int], dict[str, Coverage]] = {}
+    for effort in EFFORTS[0], EFFORT:
+        surrogate = ConstitutiveSurrogate(path, effort=effort)
+        result[effort] = {
+            name: coverage(surrogate, (dataset.sequence(*one) for one in some))
+            for name, some in tested(dataset).items()
+        }
     return result
 
 
