@@ -160,10 +160,13 @@ class Dataset:
     @cached_property
     def fem_mesh(self) -> HexMesh:
         """The HexMesh (m) that the interactions were simulated on, read from the file: whole and to
-        the bit, or, from the first format, by way of mm and of the grid."""
+        the bit, or, from the first format, by way of mm and of the grid. Raises InputError where it
+        is not the mesh that was written, or the grid's points are not its own."""
         with _opened(self.path) as file:
             if self.format == FORMAT:
-                return read_mesh_group(file["mesh"], self.grid)
+                mesh = read_mesh_group(file["mesh"], self.grid)
+                self._check_mesh(mesh, file.attrs.get("mesh_digest"))
+                return mesh
             if "mesh" in file:
                 return read_mesh_group(file["mesh"], self.grid, MM)
             loaded = file["loaded"][()] if "loaded" in file else None
@@ -188,6 +191,14 @@ class Dataset:
             ):
                 raise damaged(self.path, "its rejected_by_split is not counts by split")
             return found
+
+    def _check_mesh(self, mesh, digest):
+        if digest is not None and digest != mesh.digest:
+            raise damaged(self.path, "'mesh' is not what was written")
+        if mesh.grid is not None:
+            own = mesh.grid.to_grid(mesh.points * MM)[self.mask]
+            if not np.allclose(own, self.points[self.mask], rtol=0, atol=1e-6 * np.ptp(own)):
+                raise damaged(self.path, "'points' are not those of its mesh")
 
     @cached_property
     def mesh_digest(self) -> str:

@@ -1,6 +1,6 @@
 """Random mutations of every file that a stepper opens from: regressions, reduced models,
-constitutive networks and surrogates. Each is refused in one line, or opened and answers; no other
-exception, and no dead process.
+constitutive and modal networks and surrogates. Each is refused in one line, or opened and answers;
+no other exception, and no dead process.
 
     pytest tests/fuzz                      a few hundred, in seconds
     FUZZ=100 pytest -m slow tests/fuzz     ten times as many
@@ -23,15 +23,21 @@ from fem.online.reduced_model import Block, ReducedModel
 from fem.online.regression import Regression
 from unet_fem.deployment import tflite as lite
 from unet_fem.deployment.constitutive_graph import export_constitutive
+from unet_fem.deployment.modal import export_modal, within
 from unet_fem.networks.constitutive import ConstitutiveCell
+from unet_fem.networks.modal import ModalNetwork
 from unet_fem.networks.unet import unet
 from unet_fem.runtime.constitutive import write_constitutive
+from unet_fem.runtime.modal import write_modal
 from unet_fem.runtime.surrogate_file import write_surrogate
 from unet_fem.steppers import open_stepper
 
 MORE = int(os.environ.get("FUZZ", "10"))
 NODES, GRID, R, SEEN, POINTS = 8, (2, 2, 2), 5, 3, 4
 MESH = np.arange(NODES)
+KINDS = (
+    "regression", "remembering", "reduced", "constitutive", "graph", "unet graph", "modal graph"
+)  # fmt: skip
 PRONY = ((0.12, 330.0), (0.8, 11.0))
 
 
@@ -56,10 +62,7 @@ def reduced_model():
 def files(tmp_path_factory):
     """{kind: (path, writer of a file of its arrays)}"""
     folder, rng = tmp_path_factory.mktemp("files"), np.random.default_rng(4)
-    paths = {
-        name: folder / f"{name}.{'tflite' if 'graph' in name else 'npz'}"
-        for name in ("regression", "remembering", "reduced", "constitutive", "graph", "unet graph")
-    }
+    paths = {name: folder / f"{name}.{'tflite' if 'graph' in name else 'npz'}" for name in KINDS}
     kernel = rng.normal(size=(24, 24)).astype("f4")
     mask = np.ones(GRID, bool)
     regression = Regression(mask, np.arange(24), kernel, interval=0.25, index=MESH)
@@ -68,7 +71,7 @@ def files(tmp_path_factory):
     model = reduced_model()
     model.save(paths["reduced"])
     cell = ConstitutiveCell.of(model, 2)
-    learned = dict(cell.learned) | {"effort": np.ones(2), "guard": np.full(4, 0.1)}
+    learned = dict(cell.learned) | {"effort": np.ones(2), "guard": np.full((2, 5), 0.1)}
     save_constitutive(paths["constitutive"], model, learned)
     graph = export_constitutive(cell, model)
     write_constitutive(paths["graph"], graph, model.arrays() | learned)
@@ -77,8 +80,13 @@ def files(tmp_path_factory):
         "faces": np.array([[0, 1, 3, 2], [4, 6, 7, 5]]), "mesh": "m", "interval": 0.25,
         "largest_force": (1.0, 1.0), "label": "tiny", "field": InputField(GRID, Creep.of(PRONY)),
     }  # fmt: skip
-    net = lite.export(unet(GRID, 2, mask=mask), "float32")
-    write_surrogate(paths["unet graph"], net, **facts)
+    graphs = {"graph": graph, "unet graph": lite.export(unet(GRID, 2, mask=mask), "float32")}
+    write_surrogate(paths["unet graph"], graphs["unet graph"], **facts)
+    whole, _ = within(model, np.arange(R))
+    network = ModalNetwork(R, 8, 2, remembered=2, scales=(2.0, 0.5))
+    graphs["modal graph"] = export_modal(network, whole)
+    guard = np.array([0.01, 1.0, 0.0, 0.0, 1e9])
+    write_modal(paths["modal graph"], graphs["modal graph"], whole, guard)
 
     def again(name):
         if "graph" not in name:
@@ -87,7 +95,7 @@ def files(tmp_path_factory):
         def write(other, arrays):
             packed = io.BytesIO()
             np.savez(packed, **arrays)
-            Path(other).write_bytes((graph if name == "graph" else net) + packed.getvalue())
+            Path(other).write_bytes(graphs[name] + packed.getvalue())
 
         return write
 
@@ -175,7 +183,7 @@ def fuzz(files, folder, count, seed):
 
 
 def test_mutations_of_the_files_of_steppers(files, tmp_path):
-    """Twenty of each of six files' arrays and bytes: some of the arrays mean something else and
+    """Twenty of each of seven files' arrays and bytes: some of the arrays mean something else and
     open, bytes are all covered by digests."""
     shares = fuzz(files, tmp_path, 2 * MORE, 1)
     assert 0.3 < shares["arrays"] < 0.95 and shares["bytes"] > 0.9, shares

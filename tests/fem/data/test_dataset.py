@@ -498,3 +498,16 @@ def test_a_dataset_knows_the_law_of_each_group_of_its_mesh(tiny, tmp_path):
         sizes.append(np.linalg.norm(dataset.read("train", ("displacement",))["displacement"]))
     np.testing.assert_array_equal(dataset.material.mu, np.where(mesh.cell_sets["core"], 1200, 400))
     assert 0 < sizes[1] < 0.9 * sizes[0]
+
+
+def test_a_mesh_that_was_moved_after_it_was_written_is_refused(tiny_dataset, tmp_path):
+    """By its digest, and where the grid has other points than the mesh."""
+    for name, place in (("mesh/points", (5, 1)), ("points", (2, 2, 1, 0))):
+        path = tmp_path / "moved.h5"
+        shutil.copy(tiny_dataset, path)
+        with h5py.File(path, "r+") as file:
+            values = file[name][()]
+            values[place] += 0.01 * np.ptp(values)
+            file[name][...] = values
+        with pytest.raises(InputError, match="moved.h5 is damaged: '(mesh|points)' "):
+            _ = open_dataset(path).fem_mesh
