@@ -3,8 +3,9 @@
 Every cell of the map is one run at an extreme setting. It ends as accurate, with its error against
 a reference, as stopped, with the solver's reason, or, in the rows of slow pushes, as rejected by
 the gate that fem.solver.gate describes. An error above the sweep's tolerance is WRONG, and so is a
-run that does not come to an end. The settings are in fem.measure.sweeps, their runs in
-extreme_runs, the figure and the text in limits_report; tools/stability.py is the command.
+run that does not come to an end. The settings are in fem.measure.sweeps and quasistatic_sweeps,
+their runs in extreme_runs, the figure and the text in limits_report; tools/stability.py is the
+command.
 """
 
 import signal
@@ -18,6 +19,7 @@ import numpy as np
 
 from fem.errors import InputError, SolverStopped
 from fem.measure.extreme_runs import Rejected
+from fem.measure.quasistatic_sweeps import quasistatic_sweeps
 from fem.measure.sweeps import Sweep, sweeps
 
 HANG = 300  # s after which a run counts as hanging
@@ -49,14 +51,19 @@ def measure(quick: bool = False, only: str = "") -> Iterator[Cell]:
     values if `quick`. Raises InputError where that leaves none."""
     chosen = [
         (sweep, value)
-        for sweep in sweeps()
+        for sweep in rows()
         if only in sweep.name
         for value in (sweep.quick if quick else sweep.values)
     ]
     if not chosen:
-        names = "; ".join(sweep.name for sweep in sweeps() if sweep.quick or not quick)
+        names = "; ".join(sweep.name for sweep in rows() if sweep.quick or not quick)
         raise InputError(f"no cell of the map has '{only}' in its name; take a word of: {names}")
     return (evaluate(sweep, value) for sweep, value in chosen)
+
+
+def rows() -> list[Sweep]:
+    """Those of the explicit solver and those of the quasi-static one."""
+    return [*sweeps(), *quasistatic_sweeps()]
 
 
 def counts(cells: Sequence[Cell]) -> dict[str, int]:

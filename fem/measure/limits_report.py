@@ -73,6 +73,12 @@ final displacement.
   of 1:100, slivers of 1:10 000 and a corner Jacobian of a millionth cost steps, not accuracy.
   Inverted cells are refused with their number. A sliver so thin that one call of `advance` would
   take more than 1e8 steps is stopped.
+- **Quasi-static.** The same block without inertia stands beside the block at rest after damping,
+  in tissue from soft to stiff and up to nu = 0.4999, and stops where that stops. One call may be a
+  tenth of a millisecond or a million seconds long. Pushes that rise within less than a tenth of a
+  second are beyond it, and no sign of a run shows that: docs/fem.md has the error. The reduced
+  solver and the networks, which learn from a body, are judged on the tumour, under other loads, in
+  other tissues and at other lengths of a frame: docs/results.md.
 - **float32** costs no accuracy down to the smallest strains, and an hour of a held force comes
   out as the creep function says, in both precisions and all elements, at `mass_scaling` = 1e5.
 """

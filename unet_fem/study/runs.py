@@ -140,9 +140,10 @@ def deploy(study: Study) -> None:
 
 
 def make_long_data(study: Study) -> None:
-    """Simulate the long interactions, if their dataset is missing."""
-    if not Path(study.long_data).is_file():
-        command("-m", "fem.generate", study.long_scene, "--out", study.long_data)
+    """Simulate the long interactions whose dataset is missing."""
+    for own in study.long:
+        if not Path(own.data).is_file():
+            command("-m", "fem.generate", own.scene, "--out", own.data)
 
 
 def command(*words: str) -> None:

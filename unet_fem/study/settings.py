@@ -51,9 +51,13 @@ class Answer:
 
     label: its name; family: joined in figures; file: that its stepper is opened from, or stepper:
     kind of one that is made from the dataset's mesh and material, a FEM; options: keywords of
-    either
-    interactions: that it has learned from, 0 for none; hard: whether hard forces were among them;
-    tries: settings that were tried on validation interactions
+    either, such as the effort of a constitutive network; shown: whether it has a line over time and
+    a panel over forces
+    made: the commands that make the file. interactions: that it has learned from, 0 for none; hard:
+    whether hard forces were among them; tries: settings that were tried on validation interactions
+    scene: that its data are of, "" for the study's dataset; simulated: interactions of it, those of
+    validation among them, 0 for `interactions`; training: s on one thread for what comes after the
+    data, None where it is not recorded
     """
 
     label: str
@@ -64,6 +68,11 @@ class Answer:
     interactions: int = number(0, 1_000_000_000, default=0)
     hard: bool = False
     tries: int = number(1, 1_000_000, default=1)
+    shown: bool = False
+    made: tuple[str, ...] = ()
+    scene: str = ""
+    simulated: int = number(0, 1_000_000_000, default=0)
+    training: float | None = number(0, 1e9, "s", default=None)
 
     def __post_init__(self) -> None:
         if bool(self.file) == bool(self.stepper):
@@ -139,6 +148,16 @@ class Stability:
 
 
 @dataclass(frozen=True)
+class Long:
+    """Interactions that last longer than those of the study: their scene, the dataset that is
+    simulated of it where it is missing, and how many of its tests are taken, None for all."""
+
+    scene: str
+    data: str
+    interactions: int | None = number(1, 1_000_000, default=None)
+
+
+@dataclass(frozen=True)
 class Study:
     """name: of the folder under runs/ for its page; the runs themselves lie beside it
 
@@ -151,9 +170,9 @@ class Study:
     configurations: runs of the paper's table of configurations;
     physics: arms of the comparison with and without the volume term, the first of them without;
     learning_rate: two runs, the schedule first; window: two runs, the shorter first
-    prune: shares to remove; pod_modes: numbers of modes of the POD with regression; long_scene:
-    scene of the long interactions and its dataset; rounds: turns of each competitor when run times
-    are taken; tries: settings that may be tried for each competitor on validation
+    prune: shares to remove; pod_modes: numbers of modes of the POD with regression; long: datasets
+    of longer interactions; rounds: turns of each competitor when run times are taken; tries:
+    settings that may be tried for each competitor on validation
     """
 
     name: str
@@ -166,8 +185,7 @@ class Study:
     window: tuple[str, str]
     fem: Fem
     stability: Stability
-    long_scene: str
-    long_data: str
+    long: tuple[Long, ...]
     answers: tuple[Answer, ...] = ()
     order: tuple[Order, ...] = ()
     claims: dict = field(default_factory=dict)

@@ -40,7 +40,8 @@ def _main_files(study: Study) -> list[Path]:
 
 def _window_files(study: Study) -> list[Path | str]:
     runs = (*(main.run for main in study.main), *study.window)
-    return [study.long_scene, study.long_data, *_files_of(runs, study)]
+    long = [path for own in study.long for path in (own.scene, own.data)]
+    return [*long, *_files_of(runs, study)]
 
 
 def _all_files(study: Study) -> list[Path]:
@@ -51,8 +52,12 @@ def _deployed_files(study: Study) -> list[Path]:
     return [path for settings, _ in deployed_runs(study).values() for path in run_files(settings)]
 
 
-def _answer_files(study: Study) -> list[str]:
-    return [own.file for own in study.answers if own.file]
+def _answer_files(study: Study, shown: bool = False) -> list[str]:
+    return [own.file for own in study.answers if own.file and (own.shown or not shown)]
+
+
+def _shown_files(study: Study) -> list[Path | str]:
+    return [*_main_files(study), *_answer_files(study, shown=True)]
 
 
 STAGES = {  # a stage is the module of unet_fem.study.measure with run(study)
@@ -65,18 +70,22 @@ STAGES = {  # a stage is the module of unet_fem.study.measure with run(study)
         version=2,
     ),
     "time_dependence": Stage(
-        ("networks", "main", "window", "fem", "answers"),
-        lambda study: [*_window_files(study), *_answer_files(study)],
-        version=2,
+        ("networks", "main", "window", "fem", "answers", "long"),
+        lambda study: [*_window_files(study), *_answer_files(study, shown=True)],
+        version=3,
     ),
     "force_range": Stage(
-        ("networks", "main", "stability", "fem"), _main_files, ("reference", "fixed_latency")
+        ("networks", "main", "stability", "fem", "answers"),
+        _shown_files,
+        ("reference", "fixed_latency"),
+        version=2,
     ),
+    "extremes": Stage(("networks", "main", "answers"), _shown_files),
     "run_time": Stage(
         ("networks", "main", "deployed", "prune", "pod_modes", "fem", "rounds", "answers"),
         lambda study: [*_deployed_files(study), *_answer_files(study)],
         ("reference", "fixed_latency"),
-        version=2,
+        version=3,
     ),
 }
 
@@ -91,6 +100,12 @@ def stage_key(study: Study, name: str) -> str:
         settings["networks"] = [network.settings for network in study.networks]
     if "main" in settings:  # pruned networks are read from their files
         settings["main"] = [(main.label, main.run) for main in study.main]
+    if "answers" in settings and name != "accuracy":  # which also tells what they have cost
+        settings["answers"] = [
+            (own.label, own.family, own.stepper, own.options, own.scene)
+            for own in study.answers
+            if own.shown or name == "run_time"
+        ]
     versions = [STAGES[used].version for used in (*stage.uses, name)]
     return key((name, settings), [study.data, *stage.files(study)], versions)
 

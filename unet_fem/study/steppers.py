@@ -3,7 +3,7 @@ by the same code, frame by frame, whatever it is."""
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from unet_fem.training.settings import InputChoice, Settings
 REMEMBERED = ", remembered force"
 FACTS = (  # of a competitor, for results
     *("kind", "family", "run", "parent", "form", "frames"),
-    *("interactions", "hard_in_training", "tries", "frame"),
+    *("interactions", "hard_in_training", "tries", "frame", "options", "made"),
 )
 
 
@@ -49,7 +49,8 @@ class Competitor:
     interactions: that it has learned from, 0 for none; hard_in_training: whether hard forces were
     among them; tries: settings that were tried on validation interactions
     frame: s between its forces, None where its answer is the same whatever that is; file: that it
-    is opened from.
+    is opened from; options: keywords that it is opened with; made: what a
+    user gives to have it, commands or a line of Python; empty for networks, whose runs tell.
     """
 
     kind: str
@@ -65,6 +66,8 @@ class Competitor:
     tries: int = 1
     frame: float | None = None
     file: str | None = None
+    options: dict = field(default_factory=dict)
+    made: tuple[str, ...] = ()
 
     def facts(self) -> dict:
         """What results say about it, plain values."""
@@ -114,12 +117,15 @@ def trained_on(dataset: Dataset) -> int:
     return int(np.sum(dataset.split == "train"))
 
 
-def answering(study: Study, dataset: Dataset, threads: int = 1) -> dict[str, Competitor]:
-    """{name: Competitor} of study.answers whose files are there. One that takes any interval is a
-    competitor of its own for each length of frame, for it answers each with another error."""
+def answering(
+    study: Study, dataset: Dataset, threads: int = 1, shown: bool = False
+) -> dict[str, Competitor]:
+    """{name: Competitor} of study.answers whose files are there; of those that are `shown` alone.
+    One that takes any interval is a competitor of its own for each length of frame, for it answers
+    each with another error."""
     found = {}
     for own in study.answers:
-        if own.file and not Path(own.file).is_file():
+        if own.file and not Path(own.file).is_file() or shown and not own.shown:
             continue
         kind = "FEM" if own.stepper else "answer"  # what is made from mesh and material
         make = partial(_open_answer, own, dataset, threads)
@@ -131,6 +137,8 @@ def answering(study: Study, dataset: Dataset, threads: int = 1) -> dict[str, Com
             hard_in_training=own.hard,
             tries=own.tries,
             file=own.file or None,
+            options=own.options,
+            made=own.made or (built(own.stepper),) * bool(own.stepper),
         )
         if make().interval is not None:
             found[own.label] = competitor
@@ -138,6 +146,12 @@ def answering(study: Study, dataset: Dataset, threads: int = 1) -> dict[str, Com
         for frame in study.fem.frames:
             found[f"{own.label} / {1e3 * frame:g} ms"] = replace(competitor, frame=frame)
     return found
+
+
+def built(kind: str, *settings: object) -> str:
+    """The line of Python that makes a stepper of `kind`."""
+    given = ", ".join(["mesh", "material", *map(repr, settings)])
+    return f'unet_fem.steppers.stepper("{kind}", {given})'
 
 
 def _open_answer(own: Answer, dataset: Dataset, threads: int) -> Stepper:
@@ -173,24 +187,27 @@ def regressions(study: Study, dataset: Dataset) -> dict[str, Competitor]:
     """{name: Competitor}: linear for every window of the study's networks, POD on the one best in
     validation, and both on the force as creeping tissue remembers it."""
     found, least = {}, np.inf
+    config = next(own.config for own in study.networks if own.name == study.main[0].run)
     for frames in sorted({own.settings.model.window or 1 for own in study.networks}):
         full, train, validation = _fitted(dataset, frames)
         wrong = full.predict(validation.force) - validation.displacement
         error = np.sum(wrong**2, dtype=float)
         if error < least:
             least, best = error, (frames, full, train, validation)
-        found[linear_name(frames)] = _regression(full, frames, trained_on(dataset))
+        found[linear_name(frames)] = _regression(full, frames, trained_on(dataset), config)
     frames, full, train, validation = best
     for model in reduced(full, train, validation, max(study.pod_modes)):
         for modes in study.pod_modes:
             if model.modes is not None and modes <= len(model.modes):
                 name = f"{model.family}, {modes} modes"
-                found[name] = _regression(truncated(model, modes), frames, trained_on(dataset))
-    return found | remembering(study, dataset)
+                own = truncated(model, modes)
+                found[name] = _regression(own, frames, trained_on(dataset), config)
+    return found | remembering(study, dataset, config)
 
 
-def remembering(study: Study, dataset: Dataset) -> dict[str, Competitor]:
-    """{name: Competitor} of regressions on remembered forces; none where nothing creeps."""
+def remembering(study: Study, dataset: Dataset, config: str = "") -> dict[str, Competitor]:
+    """{name: Competitor} of regressions on remembered forces; none where nothing creeps. config:
+    file of the run that they stand beside."""
     field = input_field(InputChoice("creep"), dataset)
     if field is None:
         return {}
@@ -205,7 +222,8 @@ def remembering(study: Study, dataset: Dataset) -> dict[str, Competitor]:
             models[f"{pod.family}, {modes} modes{REMEMBERED}"] = truncated(pod, modes)
     return {
         name: replace(
-            _regression(model, 1, trained_on(dataset)), family=f"{model.family}{REMEMBERED}"
+            _regression(model, 1, trained_on(dataset), config, "input.memory=creep"),
+            family=f"{model.family}{REMEMBERED}",
         )
         for name, model in models.items()
     }
@@ -216,7 +234,13 @@ def _fitted(dataset, frames):
     return linear(train, validation, dataset.free), train, validation
 
 
-def _regression(model, frames, interactions):
+def _regression(model, frames, interactions, config="", *changes):
+    if model.modes is None:
+        kind = ["model.kind=linear"]
+    else:
+        squares = str("quadratic" in model.family).lower()
+        kind = ["model.kind=pod", f"model.modes={len(model.modes)}", f"model.quadratic={squares}"]
+    words = " ".join([config, *kind, f"model.steps={frames}", *changes])
     return Competitor(
         "regression",
         model.family,
@@ -225,4 +249,5 @@ def _regression(model, frames, interactions):
         parameters=model.parameters,
         interactions=interactions,
         tries=len(ridge.RIDGES),
+        made=(f"python -m unet_fem.train {words}",),
     )

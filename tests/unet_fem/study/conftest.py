@@ -29,6 +29,9 @@ def study_of(monkeypatch):
             networks=(*study.networks, *more),
             main=mains[:count],
             deployed=tuple(main.run for main in mains[:count]),
+            paper_latency={
+                name: s for name, s in study.paper_latency.items() if name in (*labels, "FEM")
+            },
             order=tuple(
                 Order(better, worse, f"{better} better than {worse}", 0.3)
                 for better, worse in zip(labels, [*labels[1:], "linear regression"], strict=True)
@@ -61,6 +64,7 @@ class _Results:
             "accuracy": self.accuracy(),
             "time_dependence": self.time_dependence(),
             "force_range": self.force_range(),
+            "extremes": self.extremes(),
             "run_time": self.run_time(),
         }
 
@@ -101,6 +105,10 @@ class _Results:
             "element": "full",
             "coarse": False,
             "frame": frame,
+            "steps": 5,
+            "hourglass_stiffness": 0.2,
+            "damping": 0.1,
+            "rise": 0.5,
             "stopped": [],
         } | self.errors(0.05)
 
@@ -119,6 +127,8 @@ class _Results:
             "interactions": 58,
             "hard_in_training": False,
             "tries": 5,
+            "options": {},
+            "made": [] if run else ["python -m unet_fem.train model.kind=linear"],
             "sums": dict(zip(self.cases, np.stack([error, truth], axis=1).tolist(), strict=True)),
             "headline": self.errors(test),
             "depth": {"depth": [0.0, 1.0], "mean_mm": [0.2, 0.1], "relative_l2": [0.2, 0.1]},
@@ -170,8 +180,8 @@ class _Results:
             "seconds": {
                 name: dict.fromkeys(keys, float(s)) for name, s in zip(names, seconds, strict=True)
             },
-            "data_frames": 100,
-            "data_frame_s": 0.1,
+            "interaction_s": {"": 2.0},
+            "simulated": 72,
             "machine": {
                 "processor": "a processor",
                 "rounds": 3,
@@ -193,10 +203,21 @@ class _Results:
             "time_dependence": 0.2,
             "window": {"difference": -0.01, "low": None, "high": None},
             "cases": ["test 1"],
+            "solver": "explicit",
             "left_out": {"test 2": "inverted cell"},
             "answers": {"net": answer | {"overall": dict.fromkeys(shares, 0.5)}},
         }
-        return {"trained_s": 0.25, "factor": 1.1, "short": part, "long": part}
+        longer = part | {"time": [0.0, 30.0], "solver": "quasistatic"}
+        return {"trained_s": 0.25, "factor": 1.1, "parts": [part, longer]}
+
+    def extremes(self):
+        keys = ("error", "worst", "evaluations", "reason")
+        cell = dict.fromkeys(keys) | {"outcome": "accurate", "error": 0.01, "worst": 0.02}
+        wrong = cell | {"outcome": "silently wrong", "error": 0.9}
+        row = {"name": "a pull", "largest_mm": 1.0, "stopped": None}
+        row |= {"answers": {"net": cell, "linear": wrong}}
+        stopped = {"name": "x 9", "largest_mm": None, "stopped": "inverted cell", "answers": {}}
+        return {"tolerance": 0.05, "loads": [row, stopped], "tissues": [], "frames": [row]}
 
     def force_range(self):
         names = ["truth", "linear regression", *(main.label for main in self.study.main)]

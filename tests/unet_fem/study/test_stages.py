@@ -9,7 +9,7 @@ import pytest
 from fem.errors import InputError
 from unet_fem.study import stages
 from unet_fem.study.runs import CommandFailed, command, smaller_runs
-from unet_fem.study.settings import load_study
+from unet_fem.study.settings import Answer, load_study
 from unet_fem.study.stages import STAGES, run_stage, stage_key
 
 ROOT = Path(__file__).parents[3]
@@ -71,7 +71,7 @@ def test_a_file_that_is_only_touched_changes_nothing(study, measured):
 @pytest.mark.parametrize(
     ("file", "stale"),
     [
-        ("runs/tiny/best.keras", {"accuracy", "time_dependence", "force_range", "run_time"}),
+        ("runs/tiny/best.keras", set(STAGES) - {"reference", "fixed_latency"}),
         ("runs/tiny_other/best.keras", {"accuracy", "time_dependence"}),
         ("runs/tiny_unet/lite/int8.tflite", set(STAGES) - {"reference", "fixed_latency"}),
         ("runs/tiny_thin50/best.keras", {"accuracy", "run_time"}),
@@ -88,13 +88,28 @@ def test_a_run_that_was_made_again_concerns_the_stages_that_read_it(study, measu
 def test_other_main_networks_and_arms_are_judged_again(study, measured):
     """Bug: "accuracy" knew neither the main networks nor the arms, whose fields it keeps."""
     keys = {name: stage_key(study, name) for name in STAGES}
-    less = dataclasses.replace(study, main=study.main[:1], order=())
+    less = dataclasses.replace(study, main=study.main[:1], order=(), paper_latency={})
     arms = dataclasses.replace(study, physics=study.physics[:1])
     changed = {name for name in STAGES if stage_key(less, name) != keys[name]}
-    assert changed == {"accuracy", "time_dependence", "force_range", "run_time"}
+    assert changed == set(STAGES) - {"reference", "fixed_latency"}
     assert {name for name in STAGES if stage_key(arms, name) != keys[name]} == {"accuracy"}
     said = dataclasses.replace(study, order=(), paper_latency={})  # of the page, not of a stage
     assert {name: stage_key(said, name) for name in STAGES} == keys
+
+
+def test_an_answer_concerns_the_stages_that_show_it(study):
+    """What it has cost concerns the accuracy stage alone; what is not shown, the stages that judge
+    and time everything."""
+    own = Answer("solver", "FEM", stepper="quasistatic")
+    base = dataclasses.replace(study, answers=(own,))
+    keys = {name: stage_key(base, name) for name in STAGES}
+    for change, stale in (
+        ({"training": 9.0, "tries": 3, "simulated": 5}, {"accuracy"}),
+        ({"options": {"precision": "float64"}}, {"accuracy", "run_time"}),
+        ({"shown": True}, {"accuracy", "time_dependence", "force_range", "extremes"}),
+    ):
+        other = dataclasses.replace(base, answers=(dataclasses.replace(own, **change),))
+        assert {name for name in STAGES if stage_key(other, name) != keys[name]} == stale
 
 
 def test_a_raised_version_reaches_the_stages_that_build_on_it(study, monkeypatch):

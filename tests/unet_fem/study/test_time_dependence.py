@@ -24,7 +24,7 @@ from unet_fem.study.measure.creep import judge
 from unet_fem.study.measure.elastic import elastic_answers
 from unet_fem.study.measure.time_dependence import elastic_factor, run
 from unet_fem.study.report.time_dependence import draw
-from unet_fem.study.settings import Arm, Fem, Main, Network, Stability, Study
+from unet_fem.study.settings import Arm, Fem, Long, Main, Network, Stability, Study
 
 
 @pytest.fixture
@@ -143,8 +143,7 @@ def study(tiny, unseen_dataset, tmp_path, monkeypatch):
         window=("lstm", "lstm_3"),
         fem=Fem((1,)),
         stability=Stability((1,)),
-        long_scene="scene.toml",
-        long_data="tiny.h5",
+        long=(Long("scene.toml", "tiny.h5"),),
     )
 
 
@@ -153,7 +152,8 @@ def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
     simulated once."""
     result = run(study)
     json.dumps(result, allow_nan=False)
-    for part in (result["short"], result["long"]):
+    short, long = result["parts"]
+    for part in (short, long):
         assert set(part["answers"]) == {
             "elastic",
             "scaled",
@@ -177,7 +177,7 @@ def test_run_judges_networks_beside_the_elastic_tissue_and_draws(study):
         "test-0002",
         "validation-0001",
     }
-    assert result["short"]["cases"] == ["test 1"]
+    assert short["cases"] == ["test 1"] and short["solver"] == "explicit"
     elastic_answers(study, open_dataset("tiny.h5"), [("test", 1)])
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     figure = draw(json.loads(json.dumps(result)))
@@ -211,7 +211,7 @@ def test_long_scene_with_other_frames_is_refused(study, tiny, tmp_path):
     with pytest.raises(
         InputError, match="0.1 s apart.*give it the mesh and frames.interval of scene.toml"
     ):
-        run(replace(study, long_scene="other.toml", long_data="other.h5"))
+        run(replace(study, long=(Long("other.toml", "other.h5"),)))
 
 
 def test_the_factor_of_the_elastic_answer_is_fitted_to_validation_interactions(study, monkeypatch):
@@ -230,6 +230,6 @@ def test_the_factor_of_the_elastic_answer_is_fitted_to_validation_interactions(s
 
 def test_an_untrained_network_is_left_out_and_its_window_with_it(study):
     (study.network("lstm_3").folder / "metrics.json").unlink()
-    result = run(study)
-    assert "lstm_3" not in result["short"]["answers"] and "lstm" in result["short"]["answers"]
-    assert result["short"]["window"] is None
+    short = run(study)["parts"][0]
+    assert "lstm_3" not in short["answers"] and "lstm" in short["answers"]
+    assert short["window"] is None

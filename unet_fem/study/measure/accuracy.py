@@ -155,7 +155,8 @@ def _answer(study, name, competitor, dataset, samples, truth):
     """The entry of one of study.answers, and "stopped": [{"case", "reason"}] where it is a solver
     that cannot go on; a FEM, and what is asked for frames shorter than the dataset's, is judged on
     the interactions of the headline alone."""
-    made_from = _key(study, truth, competitor.facts(), [dataset.path, competitor.file or ""])
+    same = (competitor.family, competitor.frame, competitor.options)  # and its file
+    made_from = _key(study, truth, same, [dataset.path, competitor.file or ""])
     entry = study.cache / "accuracy" / f"{made_from}.json"
     frame = competitor.frame or dataset.scene.frames.interval
     few = competitor.kind == "FEM" or frames_between(dataset.scene, frame) > 1

@@ -11,18 +11,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fem.data.dataset import Dataset
+from fem.online.stepper import Stepper
 from fem.online.volume import VOLUME_BAND
 from fem.solver.frame_loop import LoopSettings
-from unet_fem.deployment.answers import answers as frame_by_frame
+from unet_fem.deployment.answers import muted
 from unet_fem.runtime.surrogate import force_size
 from unet_fem.study.dataset import study_dataset
 from unet_fem.study.measure.judged import volumes
-from unet_fem.study.measure.multiplied import simulated
+from unet_fem.study.measure.multiplied import frames, simulated
 from unet_fem.study.measure.tuning import tuned
 from unet_fem.study.runs import KERAS, trained_runs
 from unet_fem.study.settings import LINEAR, Study
 from unet_fem.study.steppers import (
     Competitor,
+    answering,
     linear_name,
     linear_regressions,
     networks,
@@ -47,7 +49,7 @@ def run(study: Study) -> dict:
     parts = simulated(study, dataset, real_time(study, dataset))
     steppers = {name: own.make() for name, own in shown_competitors(study, dataset).items()}
     largest = np.array(force_size(dataset.read("train")["force"]))
-    factors = list(study.stability.factors)
+    factors, interval = list(study.stability.factors), dataset.scene.frames.interval
     count = len(study.stability.interactions)
     tables = Tables((len(factors), len(dataset.time)), dataset)
     flag, stops = np.zeros(tables.shape), []
@@ -55,6 +57,8 @@ def run(study: Study) -> dict:
         print(f"judging interaction {number}, forces x {factor:g}", flush=True)
         row = factors.index(factor)
         flag[row] += [np.any(np.array(force_size(field)) > 1.00001 * largest) for field in force]
+        for name, own in steppers.items():
+            answers[name], reasons[name] = as_far(own, force, interval)
         stops += [
             {
                 "what": name,
@@ -66,8 +70,7 @@ def run(study: Study) -> dict:
             for name, reason in reasons.items()
             if reason
         ]
-        learned = {name: frame_by_frame(own, force[None]) for name, own in steppers.items()}
-        tables.add(row, answers | learned)
+        tables.add(row, answers)
     return {
         "factors": factors,
         "time": dataset.time.tolist(),
@@ -79,6 +82,18 @@ def run(study: Study) -> dict:
         "stops": stops,
         "competitors": tables.results(),
     }
+
+
+def as_far(stepper: Stepper, force: np.ndarray, interval: float) -> tuple[np.ndarray, str]:
+    """(answers (frames reached, ...) mm to forces (F, ...) mN every `interval` s, why it went no
+    farther, or "")."""
+    dt = interval if stepper.interval is None else None
+    stepper.reset()
+    with muted(), np.errstate(all="ignore"):
+        first = stepper.step(force[0], dt)
+        fields, reason = frames(lambda n: stepper.step(force[n], dt), force.shape)
+    fields[0] = first
+    return fields, str(reason)
 
 
 @dataclass
@@ -143,10 +158,14 @@ def real_time(study: Study, dataset: Dataset) -> LoopSettings:
 
 
 def shown_competitors(study: Study, dataset: Dataset) -> dict[str, Competitor]:
-    """{label: Competitor}: linear regression on the forces that the first main network sees, and
-    the main networks, each also in int8 where it is exported."""
+    """{label: Competitor}: linear regression on the forces that the first main network sees, those
+    of study.answers that are to be shown, at the dataset's frames, and the main networks, each also
+    in int8 where it is exported."""
     window = study.network(study.main[0].run).model.window
     shown = {LINEAR: linear_regressions(dataset, [window])[linear_name(window)]}
+    for name, competitor in answering(study, dataset, shown=True).items():
+        if competitor.frame in (None, dataset.scene.frames.interval):
+            shown[name.split(" / ")[0]] = competitor
     trained = trained_runs(study)
     for main in study.main:
         if main.run not in trained:

@@ -13,7 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from fem.contact.surface import surface_of
 from fem.data.dataset import Dataset
+from fem.data.draws import drawn_contacts
+from fem.data.interaction import simulate
+from fem.data.scene import load_scene
 from fem.measure.timing import quantiles
 from fem.online.stepper import Stepper
 from fem.solver.frame_loop import FrameLoop
@@ -30,7 +34,7 @@ from unet_fem.study.steppers import Competitor, answering, networks, regressions
 CALLS = 10
 WARM_UP = 2  # turns before the clock runs
 ENOUGH = 1000  # calls behind a p99
-DATA_ROUNDS = 20  # frames of the dataset's own simulation
+SIMULATED = 3  # interactions of each scene, for what data cost
 
 
 class Calls:
@@ -56,15 +60,17 @@ class Calls:
 
 
 def run(study: Study) -> dict:
-    """{"seconds": {competitor: {"p50", "p90", "p99", "worst", "calls", "bare"}}, "data_frame_s",
-    "data_frames", "machine": {...}}.
+    """{"seconds": {competitor: {"p50", "p90", "p99", "worst", "calls", "bare"}}, "interaction_s":
+    {scene: s}, "simulated": interactions of the dataset to learn from and to choose by,
+    "machine": {...}}.
 
     p99: None where fewer than ENOUGH calls are behind it; bare: p50 without the duties, of a
-    .tflite file its graph alone. data_frame_s: what the dataset's own solver takes for a frame of
-    data on this thread, s; data_frames: frames to learn from.
+    .tflite file its graph alone. interaction_s: what a scene's own solver takes for an interaction,
+    s of this thread; "" is the scene of the dataset.
     """
     use_threads(1)
     dataset = study_dataset(study)
+    scenes = sorted({"", *(own.scene for own in study.answers)})
     number = study.fem.interactions[0]
     own = dataset.read("test", ("force",), [number])["force"][0]
     interval = dataset.scene.frames.interval
@@ -90,9 +96,8 @@ def run(study: Study) -> dict:
             for name, values in times.items()
             if not name.startswith("bare ")
         },
-        "data_frame_s": data_frame(dataset),
-        "data_frames": int(np.isin(dataset.split, ("train", "validation")).sum())
-        * len(dataset.time),
+        "interaction_s": {scene: interaction_seconds(dataset, scene) for scene in scenes},
+        "simulated": int(np.isin(dataset.split, ("train", "validation")).sum()),
         "machine": machine() | {"rounds": study.rounds, "calls": CALLS},
     }
 
@@ -137,16 +142,15 @@ def loop_steppers(study: Study, dataset: Dataset) -> dict[str, FrameLoop]:
     }
 
 
-def data_frame(dataset: Dataset) -> float:
-    """Seconds that a frame of the dataset's own simulation takes under a steady push, the
-    median."""
-    scene = dataset.scene
-    solver = scene.build_solver(dataset.fem_mesh)
-    force = dataset.sequence("test", 1).force
-    load = force[np.linalg.norm(force, axis=(1, 2)).argmax()].T * 1e-3
-    times = []
-    for _ in range(DATA_ROUNDS):
-        start = time.perf_counter()
-        solver.advance(scene.frames.interval, lambda t: load)
-        times.append(time.perf_counter() - start)
+def interaction_seconds(dataset: Dataset, scene: str) -> float:
+    """CPU seconds that the first training interactions of `scene`, "" for the dataset's, take in
+    the middle; its own solver, one thread."""
+    own = load_scene(scene) if scene else dataset.scene
+    mesh, times = dataset.fem_mesh, []
+    surface = surface_of(mesh)
+    for number in range(1, SIMULATED + 1):
+        contacts = drawn_contacts(own, surface, "train", number, 0)
+        start = time.process_time()
+        simulate(own, mesh, contacts, surface)
+        times.append(time.process_time() - start)
     return float(np.median(times))

@@ -16,7 +16,7 @@ from unet_fem.study.measure.creep import dot, fields, judge
 from unet_fem.study.measure.elastic import elastic_answers
 from unet_fem.study.measure.statistics import difference
 from unet_fem.study.runs import KERAS, trained_runs
-from unet_fem.study.settings import Study
+from unet_fem.study.settings import Long, Study
 from unet_fem.study.steppers import (
     Competitor,
     answering,
@@ -32,24 +32,25 @@ FACTOR_FROM = 8  # validation interactions that the factor of the scaled elastic
 
 
 def run(study: Study) -> dict:
-    """{"trained_s": length of the networks' interactions, "factor": ..., "short": ..., "long":
-    ...}.
+    """{"trained_s": length of the networks' interactions, "factor": ..., "parts": [...]}.
 
-    short: the usual interactions of the headline; long: those of study.long_data. Each as `judge`
-    gives it, with "cases": names of the interactions, "left_out": {name: why the elastic tissue
-    stopped in it} and "window": the difference that the longer window makes, see `difference`, None
-    where one of both is not trained. factor: the one number times which the elastic answer comes
-    closest to validation interactions: the best that can be known without memory, but for the
-    answer's shape.
+    parts: the usual interactions of the headline, then those of each of study.long. Each as `judge`
+    gives it, with "cases": names of the interactions, "solver": kind of the solver that they are
+    simulated by, "left_out": {name: why the elastic tissue stopped in it} and "window": the
+    difference that the longer window makes, see `difference`, None where one of both is not
+    trained. factor: the one number times which the elastic answer comes closest to validation
+    interactions: the best that can be known without memory, but for the answer's shape.
     """
-    short, long = study_dataset(study), _long_dataset(study)
+    short = study_dataset(study)
     factor = elastic_factor(study, short)
-    result: dict = {"trained_s": float(short.time[-1]), "factor": factor}
     shown = shown_competitors(study, short)
-    for name, dataset, numbers in (
-        ("short", short, study.fem.interactions),
-        ("long", long, long.number[long.split == "test"].tolist()),
-    ):
+    chosen = [(short, list(study.fem.interactions))]
+    for which in study.long:
+        long = _long_dataset(study, which)
+        numbers = long.number[long.split == "test"].tolist()
+        chosen.append((long, numbers[: which.interactions]))
+    parts = []
+    for dataset, numbers in chosen:
         simulated, stopped = elastic_answers(study, dataset, [("test", n) for n in numbers])
         elastic = fields(dataset, np.stack(list(simulated.values())))
         learned, truth = answers(shown, dataset, list(simulated))
@@ -57,17 +58,19 @@ def run(study: Study) -> dict:
             "elastic": ("elastic FEM", elastic),
             "scaled": (f"elastic FEM × {factor:.2f}", factor * elastic),
         }
-        result[name] = judge(dataset.time, truth, elastic, own | learned) | {
+        part = judge(dataset.time, truth, elastic, own | learned) | {
             "cases": [name_of(case) for case in simulated],
+            "solver": dataset.scene.solver.kind,
             "left_out": stopped,
             "window": None,
         }
-        found = result[name]["answers"]
+        found = part["answers"]
         if all(run in found for run in study.window):
             shorter, longer = (np.array([found[run]["squared_error"]]) for run in study.window)
-            squared_truth = np.array(result[name]["squared_truth"])
-            result[name]["window"] = difference(longer, shorter, squared_truth)
-    return result
+            squared_truth = np.array(part["squared_truth"])
+            part["window"] = difference(longer, shorter, squared_truth)
+        parts.append(part)
+    return {"trained_s": float(short.time[-1]), "factor": factor, "parts": parts}
 
 
 def elastic_factor(study: Study, dataset: Dataset) -> float:
@@ -84,8 +87,8 @@ def elastic_factor(study: Study, dataset: Dataset) -> float:
 
 def shown_competitors(study: Study, dataset: Dataset) -> dict[str, tuple[str, Competitor]]:
     """{name: (label, Competitor)}: the main networks and both windows where they are trained, named
-    by their runs, one linear regression for each number of forces that they see, and study.answers
-    at the dataset's frames."""
+    by their runs, one linear regression for each number of forces that they see, and those of
+    study.answers that are to be shown, at the dataset's frames."""
     first, *others = [main.run for main in study.main]
     labels = {main.run: main.label for main in study.main}
     runs = dict.fromkeys((first, *study.window, *others))
@@ -102,7 +105,7 @@ def shown_competitors(study: Study, dataset: Dataset) -> dict[str, tuple[str, Co
             label = f"linear, {frames} force{'s' * (frames > 1)}"
             shown[f"linear {frames}"] = label, linear[linear_name(frames)]
     interval = dataset.scene.frames.interval
-    for name, competitor in answering(study, dataset).items():
+    for name, competitor in answering(study, dataset, shown=True).items():
         if competitor.frame in (None, interval):
             shown[name] = name.split(" / ")[0], competitor
     return shown
@@ -123,13 +126,13 @@ def answers(
     return found, fields(dataset, own["displacement"])
 
 
-def _long_dataset(study: Study) -> Dataset:
-    """That of the long interactions. Raises InputError if the networks cannot take its forces."""
+def _long_dataset(study: Study, own: Long) -> Dataset:
+    """That of long interactions. Raises InputError if the networks cannot take its forces."""
     settings, short = study.network(study.main[0].run), study_dataset(study)
-    long = ensure_dataset(replace(settings, scene=study.long_scene, data=study.long_data))
+    long = ensure_dataset(replace(settings, scene=own.scene, data=own.data))
     if long.grid != short.grid or long.scene.frames.interval != short.scene.frames.interval:
         raise InputError(
-            f"{study.long_scene} has a grid of {long.grid} nodes and frames"
+            f"{own.scene} has a grid of {long.grid} nodes and frames"
             f" {long.scene.frames.interval:g} s apart, the networks learned from {short.grid} and"
             f" {short.scene.frames.interval:g} s; give it the mesh and frames.interval of"
             f" {settings.scene}"

@@ -21,7 +21,14 @@ PALETTES = {  # kind of a competitor: (colour, marker) of its families, in order
         ("#A9A9A9", "P"),
         ("#7A9CC6", "h"),
     ),
-    "regression": (("#E69F00", "s"), ("#8C6D1F", "P"), ("#C9A227", "p"), ("#5C4A1F", "d")),
+    "regression": (
+        ("#E69F00", "s"),
+        ("#8C6D1F", "P"),
+        ("#C9A227", "p"),
+        ("#5C4A1F", "d"),
+        ("#FFD166", "H"),
+        ("#B06500", "v"),
+    ),
     "network": (
         ("#D55E00", "^"),
         ("#9E3D00", "o"),

@@ -13,9 +13,18 @@ from fem.errors import InputError
 from fem.files import write_text
 from unet_fem.study.dataset import study_dataset
 from unet_fem.study.measure import statistics
-from unet_fem.study.measure.points import against_fem, least_errors, pareto, points
+from unet_fem.study.measure.extremes import KNOWN, OUTCOMES
+from unet_fem.study.measure.points import (
+    LONGEST,
+    SHORTEST,
+    against_fem,
+    least_errors,
+    pareto,
+    points,
+)
 from unet_fem.study.measure.run_time import ENOUGH
 from unet_fem.study.report import (
+    best_choice,
     claims,
     error_vs_time,
     force_range,
@@ -29,7 +38,13 @@ from unet_fem.study.stages import STAGES
 from unet_fem.training.figures import LIMIT_SHARE
 from unet_fem.training.style import save
 
-TEMPLATES = Path("docs/templates")
+DOCS = Path("docs")
+TEMPLATES = DOCS / "templates"
+ELSEWHERE = {  # pages of other commands, where they are: what they hold
+    "learning_curve.md": "error against the number of interactions, and what each costs",
+    "ablation.md": "memory and elasticity in the input of the paper's networks",
+    "stability.md": "the map of the solver's own limits",
+}
 BEGIN, END = "<!-- results: written by tools/report.py -->", "<!-- end of results -->"
 
 
@@ -44,7 +59,8 @@ def write(study: Study, results: dict[str, dict], out: Path, readme: Path | None
     for name, figure in figures(study, results, physics).items():
         save(figure, folder / f"{name}.png")
     paper_figures.animate(study, results["accuracy"], folder / "hard_interaction.gif")
-    for name, result in results.items():
+    own = {"best_choice": best_choice.choices(study, results)}
+    for name, result in (results | own).items():
         write_text(folder / f"{name}.json", json.dumps(result, allow_nan=False) + "\n")
     path = out / "results.md"
     write_text(path, text)
@@ -65,6 +81,7 @@ def between_markers(text: str, part: str) -> str:
 def figures(study: Study, results: dict[str, dict], physics: list[dict]) -> dict:
     """{name: figure} of the page."""
     found = {"error_vs_time": error_vs_time.draw(study, results)}
+    found["best_choice"] = best_choice.draw(study, results)
     if "time_dependence" in results:
         found["time_dependence"] = time_dependence.draw(results["time_dependence"])
     if "force_range" in results:
@@ -129,7 +146,8 @@ def shown(study: Study, results: dict[str, dict], physics: list[dict]) -> dict:
         "missing": missing(study, accuracy),
         "unmeasured": [name for name in STAGES if name not in results],
         "fronts": [_front(results, frame) for frame in study.fem.frames],
-        "data_s": timed["data_frames"] * timed["data_frame_s"],
+        "best": best_choice.choices(study, results),
+        "window": (SHORTEST, LONGEST),
         "against": [row | {"hours": _hours(row)} for row in against_fem(study, results)],
         "stopped": [point for point in results["fixed_latency"]["points"] if point["stopped"]]
         + [{"name": name} | model for name, model in models.items() if model.get("stopped")],
@@ -161,6 +179,8 @@ def shown(study: Study, results: dict[str, dict], physics: list[dict]) -> dict:
         ],
         "creep": _creep(results.get("time_dependence")),
         "stability": results.get("force_range"),
+        "extremes": _extremes(results.get("extremes")),
+        "elsewhere": {name: own for name, own in ELSEWHERE.items() if (DOCS / name).is_file()},
     }
 
 
@@ -196,7 +216,7 @@ def _front(results, frame):
 
 
 def _hours(row):
-    if row["own"]["kind"] in ("FEM", "answer"):
+    if row["own"]["kind"] == "answer" and row["training_s"] is None:
         return "-"
     return f"{row['hours']:.2g}" if row["hours"] else "never"
 
@@ -218,9 +238,29 @@ def _differences(arm):
 def _creep(found):
     if found is None:
         return []
-    longest = found["long"]["time"][-1]
-    titles = {"short": "as long as in training", "long": f"up to {longest:g} s"}
-    return [found[name] | {"title": title} for name, title in titles.items()]
+    trained = found["trained_s"]
+    return [part | {"title": time_dependence.title(part, trained)} for part in found["parts"]]
+
+
+def _extremes(found):
+    """The stage with the labels of its columns, how often each of them ends how, and how many of
+    the loads the guard's features were chosen by."""
+    if found is None:
+        return None
+    rows = [row for name in ("loads", "tissues", "frames") for row in found[name]]
+    labels = list(dict.fromkeys(label for row in rows for label in row["answers"]))
+    cells = {
+        label: [row["answers"][label]["outcome"] for row in rows if label in row["answers"]]
+        for label in labels
+    }
+    return found | {
+        "labels": labels,
+        "known": KNOWN,
+        "counts": {
+            label: {outcome: own.count(outcome) for outcome in OUTCOMES if outcome in own}
+            for label, own in cells.items()
+        },
+    }
 
 
 def _deployed(study, models, seconds):
