@@ -3,8 +3,8 @@
     python tools/learning_curve.py data/wide.h5 --hard 160 --judge data/tumour.h5 [--sizes 29 58]
 
 Each size takes the first interactions of the split "train" and, in the same share at all sizes, of
-the split "hard". Prints Markdown and writes it as .md, with .json and .png beside it. What was
-interrupted goes on when the same command is given again.
+the split "hard". Prints Markdown and writes it as .md, with .json and, of several sizes, .png
+beside it. What was interrupted goes on when the same command is given again.
 """
 
 import argparse
@@ -58,7 +58,7 @@ def main(arguments=None):
         f" {options.judge} --sizes {' '.join(map(str, sorted(options.sizes)))}"
     )
     write(result, options.out, command)
-    print(f"wrote {options.out}.md, .json and .png")
+    print(f"wrote {options.out}.md and what stands beside it")
 
 
 def told(line):

@@ -64,13 +64,15 @@ def draw(result: dict) -> Figure:
 
 
 def write(result: dict, out: Path, command: str) -> None:
-    """The result as <out>.json, <out>.png and <out>.md."""
+    """The result as <out>.json and <out>.md, and where there are several sizes as <out>.png."""
     judged = " and ".join(f"{n} {name}" for name, n in result["interactions"].items())
-    head = (
+    text = (
         f"# Learning curve\n\n`{command}`\n\nRelative L2 error over free nodes and"
         f" frames in % on {judged} test interactions, by how many interactions were learned from."
-        "\n\n"
+        f"\n\n{table(result)}\n"
     )
-    write_text(out.with_suffix(".md"), f"{head}{table(result)}\n\n![{out.name}]({out.name}.png)\n")
+    if len({row["interactions"] for row in result["rows"]} - {0}) > 1:
+        save(draw(result), out.with_suffix(".png"))
+        text += f"\n![{out.name}]({out.name}.png)\n"
+    write_text(out.with_suffix(".md"), text)
     write_text(out.with_suffix(".json"), json.dumps(result, indent=1) + "\n")
-    save(draw(result), out.with_suffix(".png"))
