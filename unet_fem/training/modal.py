@@ -24,7 +24,7 @@ from unet_fem.networks.modal import ModalNetwork
 
 SEED = 77  # beside the scene's, of contacts that its own draws do not have
 HARD, PULLS, SLOW = 1 / 3, 0.15, 0.2  # shares of the interactions
-SLOWEST = 8.0  # how many times longer than the scene's a slow interaction is at most
+SLOWEST = 24.0  # how many times longer than the scene's a slow interaction is at most
 UNREST = 1e-2  # |r| / |a| of a frame that the reduced model gave up
 LEAST = 1e-2  # mm, |a| below which that says nothing
 
