@@ -63,6 +63,12 @@ class ModalSurrogate:
         prony = tuple((float(g), float(tau)) for g, tau in self.model.prony)
         self._creep = CreepFilter(Creep.of(prony), (self.model.modes,))
         self._forgets, self._dt = Creep(prony), math.nan
+        wanted, found = (len(prony) + 1, len(prony) + 2), self._weights().shape
+        if found != wanted or self._inputs().shape[-1] != 2 * self.model.modes:
+            raise InputError(
+                f"the graph in {self.path} is another model's: its filter is {found}, not {wanted};"
+                f" {REMEDY}"
+            )
         self._warned = False
         self.reset()
 
