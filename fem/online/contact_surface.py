@@ -1,5 +1,7 @@
 """The surface that probes push on, and the nodal forces of a round footprint on it. NumPy alone."""
 
+import math
+
 import numpy as np
 
 from fem.errors import InputError
@@ -61,15 +63,14 @@ class ContactSurface:
             )
         offset = self.points - centre
         squared = np.einsum("pi,pi->p", offset, offset)
-        # nothing farther away has a say; a tenth of the surface is left, and of the time
-        at = np.flatnonzero(squared <= max(4 * radius**2, squared.min()))
-        offset, squared, area, normals = offset[at], squared[at], self.area[at], self.normal[at]
-        near = normals @ normals[squared.argmin()] > -0.5
-        mean = normals.T @ (near * bump(squared / (2 * radius) ** 2) * area)
-        normal = mean / max(np.linalg.norm(mean), 1e-300)
+        near = self.normal @ self.normal[squared.argmin()] > -0.5
+        mean = self.normal.T @ (near * bump(squared / (2 * radius) ** 2) * self.area)
+        normal = mean / max(math.sqrt(mean @ mean), 1e-300)
         height = offset @ normal
-        distance = np.linalg.norm(offset - height[:, None] * normal, axis=1)
-        pressure = near * (np.abs(height) < radius) * bump(np.square(distance / radius)) * area
+        # of r^2, by Pythagoras: there is no need for the offset along the plane itself
+        along = (squared - np.square(height)) / radius**2
+        at = np.flatnonzero(near & (np.abs(height) < radius) & (along < 1))
+        pressure = np.square(1 - along[at]) * self.area[at]
         nodal = self.shares[at] * pressure[:, None]
         share = np.bincount(self.nodes[at].ravel(), nodal.ravel(), self.count)
         total = share.sum()
