@@ -363,22 +363,20 @@ else:
 
 @pytest.mark.slow
 def test_a_study_killed_at_random_moments_ends_with_the_same_results(tmp_path):
-    """While it trains, exports and measures: the figures that no clock makes are the same."""
+    """While it simulates and measures, untrained: the figures that no clock makes are the same."""
     folder = tmp_path / "here"
     folder.mkdir()
     for name in ("configs", "tools"):
         (folder / name).symlink_to(ROOT / name)
-    hits, aside = survives(folder, ("tools/report.py", "--quick"), 3, seed=4)
-    assert hits >= 2
-    for stage in ("accuracy", "reference"):
+    stages = ("reference", "fixed_latency", "accuracy")
+    words = ("tools/report.py", "--quick", "--untrained", "--only", *stages)
+    hits, aside = survives(folder, words, 2, seed=4)
+    assert hits >= 1
+    for stage in stages[::2]:
         same, again = (
             json.loads(next(one.glob(f"runs/**/{stage}.json")).read_text())["result"]
             for one in (aside, folder)
         )
-        if stage == "accuracy":
-            for found in (same, again):
-                for one in found["runs"].values():
-                    one["seconds"] = None
         assert close(again, same)
 
 
