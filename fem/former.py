@@ -21,7 +21,8 @@ FEM: Table = {
     "fem.contact": {
         "fem.contact.draw": "ContactRange draw_contacts tilt",
         "fem.contact.push": "Contact Load",
-        "fem.contact.surface": "Surface bump",
+        "fem.contact.surface": "Surface",
+        "fem.online.contact_surface": "bump",
     },
     "fem.dataset": {
         "fem.data.dataset": "FORMAT Dataset Sequence open_dataset",

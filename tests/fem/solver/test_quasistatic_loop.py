@@ -60,7 +60,7 @@ def test_states_go_on_to_the_bit_and_reset_is_rest():
     np.testing.assert_array_equal(answers(loop), second)
     loop.reset()
     np.testing.assert_array_equal(answers(loop), first)
-    with pytest.raises(InputError, match="not of this loop"):
+    with pytest.raises(InputError, match="the state is"):
         loop.restore({"u": kept["u"]})
     with pytest.raises(InputError, match="of another solver"):
         QuasiStaticLoop(MESH, TISSUE.elastic()).restore(kept)

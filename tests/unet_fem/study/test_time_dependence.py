@@ -139,7 +139,7 @@ def study(tiny, unseen_dataset, tmp_path, monkeypatch):
         configurations=("lstm",),
         deployed=("lstm",),
         physics=(Arm("a", ("lstm",)),),
-        learning_rate=("lstm", "lstm"),
+        learning_rate=("lstm", "lstm_3"),
         window=("lstm", "lstm_3"),
         fem=Fem((1,)),
         stability=Stability((1,)),
