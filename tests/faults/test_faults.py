@@ -7,6 +7,7 @@ then ends with the same results.
 
 import errno
 import importlib
+import contextlib
 import json
 import os
 import random
@@ -95,8 +96,19 @@ def survives(folder, words, times, seed):
             shutil.rmtree(folder)
             shutil.copytree(before, folder, symlinks=True)
             whole /= 2
-    run(folder, *words)
+    with suppress_finished():
+        run(folder, *words)
     return hits, aside
+
+
+@contextlib.contextmanager
+def suppress_finished():
+    """A training that was killed after its last line is finished, and says so."""
+    try:
+        yield
+    except AssertionError as error:
+        if "is finished" not in str(error):
+            raise
 
 
 def contents(path):
@@ -368,6 +380,7 @@ def test_a_study_killed_at_random_moments_ends_with_the_same_results(tmp_path):
     folder.mkdir()
     for name in ("configs", "tools"):
         (folder / name).symlink_to(ROOT / name)
+    run(folder, "-m", "fem.generate", "configs/tumour_tiny.toml", "--out", "data/tiny.h5")
     stages = ("reference", "fixed_latency", "accuracy")
     words = ("tools/report.py", "--quick", "--untrained", "--only", *stages)
     hits, aside = survives(folder, words, 2, seed=4)
