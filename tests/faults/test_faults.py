@@ -5,9 +5,9 @@ then ends with the same results.
     pytest tests/faults -m "slow or not slow"      trainings, exports and a study too
 """
 
+import contextlib
 import errno
 import importlib
-import contextlib
 import json
 import os
 import random
