@@ -381,11 +381,9 @@ def test_a_study_killed_at_random_moments_ends_with_the_same_results(tmp_path):
     for name in ("configs", "tools"):
         (folder / name).symlink_to(ROOT / name)
     run(folder, "-m", "fem.generate", "configs/tumour_tiny.toml", "--out", "data/tiny.h5")
-    stages = ("reference", "fixed_latency", "accuracy")
-    words = ("tools/report.py", "--quick", "--untrained", "--only", *stages)
-    hits, aside = survives(folder, words, 2, seed=4)
+    hits, aside = survives(folder, ("tools/report.py", "--quick", "--untrained"), 2, seed=4)
     assert hits >= 1
-    for stage in stages[::2]:
+    for stage in ("reference", "accuracy"):
         same, again = (
             json.loads(next(one.glob(f"runs/**/{stage}.json")).read_text())["result"]
             for one in (aside, folder)
