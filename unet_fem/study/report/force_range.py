@@ -43,20 +43,19 @@ def draw(result: dict) -> Figure:
     )
     names = [name for name in result["competitors"] if name != "truth"]
     columns = min(4, len(names))
-    lines = -(-(len(names) + 1) // columns)
-    size = 3.2 * columns, 2.9 * lines
+    lines = -(-len(names) // columns)
+    size = 3.2 * columns, 2.7 * lines + 0.8
     figure, axes = subplots(lines, columns, size, sharex=True, sharey=True, squeeze=False)
     for axis, name in zip(axes.flat, names, strict=False):
         found = result["competitors"][name]
         colours = _panel(axis, shared, found, result["tolerance"], result["band"])
         labels = [f"× {factor:g}" for factor in factors]
         axis.set(title=name, yticks=range(len(factors)), yticklabels=labels)
-        axis.title.set_size(9)
+        axis.title.set_size(8)
         axis.grid(False)
     for axis in axes.flat[len(names) :]:
         axis.axis("off")
-    marks = _marks(result)
-    axes.flat[len(names)].legend(handles=marks, loc="center", fontsize=8, frameon=False)
+    figure.legend(handles=_marks(result), loc="outside lower center", ncols=3, fontsize=8)
     for axis in axes[:, 0]:
         axis.set_ylabel("contact force")
     for column in axes.T:

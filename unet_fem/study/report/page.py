@@ -42,6 +42,8 @@ DOCS = Path("docs")
 TEMPLATES = DOCS / "templates"
 ELSEWHERE = {  # pages of other commands, where they are: what they hold
     "learning_curve.md": "error against the number of interactions, and what each costs",
+    "learning_curve_58.md": "the same at the paper's number, every learned answer",
+    "tissues.md": "the constitutive network in other tissues",
     "ablation.md": "memory and elasticity in the input of the paper's networks",
     "stability.md": "the map of the solver's own limits",
 }

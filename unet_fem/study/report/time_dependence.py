@@ -8,6 +8,7 @@ from unet_fem.training.style import COLOURS, styled, subplots
 
 FEM = ("elastic", "scaled")  # answers that are not learned
 DASHES = ("-", "--", "-.")  # of those that share a colour
+OTHERS = [colour for colour in COLOURS if colour != "#000000"]  # black is the tissue
 
 
 @styled()
@@ -51,15 +52,16 @@ def _curves(row, part):
     time = part["time"][1:]
     row[1].plot(time, values(part["creep"]), "k", linewidth=2.5, label="viscoelastic FEM")
     for n, (key, answer) in enumerate(part["answers"].items()):
-        again, colour = divmod(n, len(COLOURS))
+        again, place = divmod(n, len(OTHERS))
+        colour = OTHERS[place]
         line = ":" if key in FEM else DASHES[again % len(DASHES)]
-        style = {"color": f"C{colour}", "label": answer["label"], "linestyle": line}
+        style = {"color": colour, "label": answer["label"], "linestyle": line}
         row[0].plot(time, 100 * values(answer["relative_l2"]), **style)
         row[1].plot(time, values(answer["creep"]), **style)
         if key not in FEM:
             most, least = (100 * values(answer[share]) for share in ("along", "common"))
             row[2].plot(time, most, **style)
-            row[2].fill_between(time, least, most, color=f"C{colour}", alpha=0.08)
+            row[2].fill_between(time, least, most, color=colour, alpha=0.08)
 
 
 def values(column: list) -> np.ndarray:
